@@ -1,0 +1,1 @@
+"""The bus: zenoh on loopback, keys, publishing without blocking, subscribing without losing."""

@@ -1,0 +1,1 @@
+"""Where a model and a recording disagree, which physics is missing, and whether it helps."""

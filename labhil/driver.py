@@ -1,0 +1,155 @@
+"""What a device is to the rest of the program.
+
+A driver plugin is a class that satisfies :class:`Driver` and is registered under the entry-point
+group ``labhil.drivers``. It is a thin thing: it owns the wire and the declaration of the signals,
+nothing else. Limits, leases, watchdogs, the bus and the recording belong to its host.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import ClassVar, Protocol, Self, runtime_checkable
+
+from labhil.signals import Batch, Signal, Stream
+
+
+@dataclass(frozen=True, slots=True)
+class DriverSpec:
+    """What is known of a device before anything is connected.
+
+    ``commands`` are the signals that can be set; ``safe`` gives each its value in the safe state
+    (ball and beam: level; solenoid: 0 A). ``command_timeout`` (s of the device's clock) is how long
+    the device itself waits for any valid message before it goes there on its own.
+    """
+
+    name: str
+    rig: str
+    description: str
+    stream: Stream
+    commands: tuple[Signal, ...]
+    safe: Mapping[str, float]
+    command_timeout: float
+    address_help: str
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceInfo:
+    """What a device said of itself when it was connected.
+
+    ``boot_id`` changes at every start of the device; ``speed`` is how many seconds of the device's
+    clock pass in one second (1 but for a twin that runs faster than real time).
+    """
+
+    firmware: str
+    serial: str
+    boot_id: int
+    speed: float = 1.0
+    calibration: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class Counters:
+    """What happened on the wire since the connection was made."""
+
+    frames: int = 0
+    lost: int = 0
+    crc_errors: int = 0
+    resyncs: int = 0
+    resets: int = 0
+
+
+@runtime_checkable
+class Driver(Protocol):
+    """The four things every device can do: talk, take a command, go to its safe state, be closed.
+
+    A driver is used by one thread at a time, except that ``safe`` and ``close`` may be called from
+    any. Constructing one does no I/O.
+    """
+
+    spec: ClassVar[DriverSpec]
+    counters: Counters
+
+    def __init__(self, address: str) -> None: ...
+
+    def connect(self) -> DeviceInfo:
+        """Open the wire, wait for the device, send its configuration.
+
+        Raises ConnectError when nobody is there and ProtocolError when somebody else is.
+        """
+        ...
+
+    def read(self, timeout: float) -> Batch:
+        """Return the samples that have come in, waiting up to ``timeout`` s for the first.
+
+        An empty batch means that nothing came. Raises DeviceResetError when the device booted again
+        and ConnectError when the wire is gone.
+        """
+        ...
+
+    def command(self, values: Mapping[str, float]) -> None:
+        """Send new values for some of ``spec.commands``; also what keeps the device's watchdog quiet."""
+        ...
+
+    def safe(self) -> None:
+        """Bring the device to its safe state. Does its best, whatever state things are in; never raises."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the wire. Safe to call twice, and before ``connect``."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+class Twin(Protocol):
+    """A simulated device on the real wire, registered under the entry-point group ``labhil.twins``.
+
+    A twin is a program of its own: ``serve`` opens its port, calls ``ready`` once with the address
+    to connect to, and runs until it is interrupted.
+    """
+
+    name: str
+    rig: str
+    description: str
+
+    def terms(self) -> Mapping[str, str]:
+        """Names of the effects that this twin can carry, each with one line about it."""
+        ...
+
+    def parameters(self) -> Mapping[str, float]:
+        """Names that ``--set`` takes, with their default values (SI)."""
+        ...
+
+    def serve(self, options: TwinOptions, ready: ReadyCallback) -> None:
+        """Run until SIGINT, SIGTERM or the end of standard input closes it."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class TwinOptions:
+    """How to start a twin.
+
+    ``terms`` names the effects that it carries beyond the bare rig (None: the twin's own default);
+    ``parameters`` overrides single values; ``speed`` runs its world that many times faster than
+    real time; ``wire`` is ``"pty"`` or ``"tcp"``.
+    """
+
+    seed: int = 0
+    speed: float = 1.0
+    terms: tuple[str, ...] | None = None
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    wire: str = "pty"
+
+
+class ReadyCallback(Protocol):
+    """Told once, with the address that a driver can connect to."""
+
+    def __call__(self, address: str) -> None:
+        """Receive the address."""
+        ...

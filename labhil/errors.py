@@ -1,0 +1,134 @@
+"""Everything that can go wrong, as one tree.
+
+::
+
+    LabhilError
+    ├── UsageError                 exit 2: wrong use or bad input
+    │   ├── UnknownNameError       a plugin, rig, term, signal or parameter that does not exist
+    │   ├── MissingExtraError      an optional package is not installed
+    │   ├── RigFileError           a rig file: missing key, misspelt key, wrong value
+    │   ├── ExperimentFileError    an experiment file, likewise
+    │   ├── TableError             a table to import: missing column, text, NaN, no rows
+    │   ├── RecordingError         a recording: not MCAP, empty, cut, without the signals asked for
+    │   ├── ModelFileError         a fit or diagnosis file that cannot stand for a model
+    │   ├── CommandRefusedError    a command out of limits, not finite, stale or without the lease
+    │   └── DeviceError            what a device, or the wire to it, did
+    │       ├── ConnectError       the address does not exist or nobody answers there
+    │       ├── ProtocolError      somebody answers, but does not speak our protocol
+    │       ├── DeviceResetError   the device booted again in the middle of a run
+    │       └── DeviceSilentError  the device stopped talking
+    └── RunError                   exit 1: the run itself came to grief
+        ├── LimitTrippedError      a sample left the limits of the rig file
+        ├── RunStoppedError        a person or a signal stopped the run
+        ├── BusError               the bus or a process of ours failed
+        └── RecordingFailedError   the recording could not be written to its end
+
+Every message says what was expected, what was found, and where. ``UsageError`` messages end up in
+front of a person as they are, so they are whole sentences without a traceback.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class LabhilError(Exception):
+    """The root of the tree; never raised itself."""
+
+    exit_status = 1
+
+
+class UsageError(LabhilError):
+    """Wrong use or bad input."""
+
+    exit_status = 2
+
+
+class UnknownNameError(UsageError):
+    """A name that is not among the known ones."""
+
+    def __init__(self, what: str, name: str, known: Iterable[str]) -> None:
+        names = sorted(known)
+        super().__init__(
+            f"{what} {name!r} does not exist{suggestion(name, names)}; known: {', '.join(names)}"
+        )
+
+
+class MissingExtraError(UsageError):
+    """An optional package is not installed."""
+
+    def __init__(self, package: str, extra: str, purpose: str) -> None:
+        super().__init__(
+            f"{purpose} needs the package {package!r}, which is not installed: pip install 'labhil[{extra}]'"
+        )
+
+
+class RigFileError(UsageError):
+    """A rig file that cannot be used."""
+
+
+class ExperimentFileError(UsageError):
+    """An experiment file that cannot be used."""
+
+
+class TableError(UsageError):
+    """A table that cannot be imported."""
+
+
+class RecordingError(UsageError):
+    """A recording that cannot be read, or does not hold what is asked of it."""
+
+
+class ModelFileError(UsageError):
+    """A fit or diagnosis file that cannot stand for a model."""
+
+
+class CommandRefusedError(UsageError):
+    """A command that a host refused; nothing was sent to the device."""
+
+
+class DeviceError(UsageError):
+    """What a device, or the wire to it, did."""
+
+
+class ConnectError(DeviceError):
+    """The address does not exist, or nobody answers there."""
+
+
+class ProtocolError(DeviceError):
+    """Somebody answers, but does not speak our protocol."""
+
+
+class DeviceResetError(DeviceError):
+    """The device booted again in the middle of a run."""
+
+
+class DeviceSilentError(DeviceError):
+    """The device stopped talking."""
+
+
+class RunError(LabhilError):
+    """The run itself came to grief."""
+
+
+class LimitTrippedError(RunError):
+    """A sample left the limits of the rig file."""
+
+
+class RunStoppedError(RunError):
+    """A person or a signal stopped the run."""
+
+
+class BusError(RunError):
+    """The bus or a process of ours failed."""
+
+
+class RecordingFailedError(RunError):
+    """The recording could not be written to its end (disk full, device gone)."""
+
+
+def suggestion(name: str, known: Iterable[str]) -> str:
+    """Return ``" (did you mean 'x'?)"`` for the nearest known name, or an empty string."""
+    near = difflib.get_close_matches(name, list(known), n=1)
+    return f" (did you mean {near[0]!r}?)" if near else ""

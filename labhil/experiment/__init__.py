@@ -1,0 +1,1 @@
+"""Scripted acquisitions: the experiment file, excitations, and the runner."""

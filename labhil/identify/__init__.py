@@ -1,0 +1,1 @@
+"""From a model and a recording to estimates that can be believed."""

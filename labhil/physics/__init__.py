@@ -1,0 +1,1 @@
+"""White-box models: laws, terms, and one simulation kernel per rig."""

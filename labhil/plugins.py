@@ -1,0 +1,42 @@
+"""Drivers and twins are found by entry points; their names are listed without importing any of them."""
+
+from __future__ import annotations
+
+from importlib.metadata import EntryPoint, entry_points
+from typing import cast
+
+from labhil.driver import Driver, Twin
+from labhil.errors import UnknownNameError, UsageError
+
+DRIVERS = "labhil.drivers"
+TWINS = "labhil.twins"
+
+
+def names(group: str) -> tuple[str, ...]:
+    """Names registered under an entry-point group, sorted; nothing is imported."""
+    return tuple(sorted({point.name for point in entry_points(group=group)}))
+
+
+def load_driver(name: str) -> type[Driver]:
+    """Import the driver plugin ``name``; UnknownNameError names those that are installed."""
+    return cast("type[Driver]", _load(DRIVERS, name, "driver plugin"))
+
+
+def load_twin(name: str) -> Twin:
+    """Import the twin plugin ``name``; UnknownNameError names those that are installed."""
+    return cast(Twin, _load(TWINS, name, "twin"))
+
+
+def _load(group: str, name: str, what: str) -> object:
+    point = _find(group, name, what)
+    try:
+        return point.load()
+    except (ImportError, AttributeError) as error:
+        raise UsageError(f"{what} {name!r} ({point.value}) could not be imported: {error}") from error
+
+
+def _find(group: str, name: str, what: str) -> EntryPoint:
+    for point in entry_points(group=group):
+        if point.name == name:
+            return point
+    raise UnknownNameError(what, name, names(group))

@@ -1,0 +1,1 @@
+"""MCAP in, numpy out; and the tables of others in, ours out."""

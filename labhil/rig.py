@@ -1,0 +1,285 @@
+"""Rig kinds, and the rig file (TOML) that says which one stands on the bench and how its data are read."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from labhil.errors import RigFileError, UnknownNameError, suggestion
+from labhil.signals import Direction, Signal
+
+
+@dataclass(frozen=True, slots=True)
+class RigKind:
+    """What every rig of one kind has: its signals, and the parameters that may be known beforehand.
+
+    Of ``inputs`` one is enough; ``known`` maps the names that ``[known]`` takes to their units.
+    """
+
+    name: str
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    auxiliary: tuple[Signal, ...]
+    known: Mapping[str, str]
+
+    def signals(self) -> tuple[Signal, ...]:
+        """All signals that a recording of this rig may hold."""
+        return self.inputs + self.outputs + self.auxiliary
+
+
+BALL_BEAM = RigKind(
+    name="ball_beam",
+    inputs=(
+        Signal("servo_angle", "rad", Direction.INPUT, description="gear-disc angle in effect at the servo"),
+        Signal("beam_angle", "rad", Direction.INPUT, description="angle of the beam, measured directly"),
+    ),
+    outputs=(Signal("ball_position", "m", Direction.OUTPUT, description="from the pivot along the beam"),),
+    auxiliary=(),
+    known={"ball_mass": "kg", "ball_radius": "m", "crank_radius": "m", "beam_length": "m"},
+)
+
+KINDS: Mapping[str, RigKind] = {kind.name: kind for kind in (BALL_BEAM,)}
+
+
+def kind_named(name: str) -> RigKind:
+    """Return the rig kind ``name``; UnknownNameError lists those that exist."""
+    if name not in KINDS:
+        raise UnknownNameError("rig kind", name, KINDS)
+    return KINDS[name]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class RigSection(_Section):
+    """``[rig]``: which kind of rig this is."""
+
+    kind: str
+
+    @field_validator("kind")
+    @classmethod
+    def _exists(cls, value: str) -> str:
+        if value not in KINDS:
+            raise ValueError(f"no such rig{suggestion(value, KINDS)}; known: {', '.join(sorted(KINDS))}")
+        return value
+
+
+class Limit(_Section):
+    """What a signal may be: ``min`` and ``max`` in its unit, ``rate`` in its unit per second."""
+
+    min: float = float("-inf")
+    max: float = float("inf")
+    rate: Annotated[float, Field(gt=0)] = float("inf")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Limit:
+        if not self.min < self.max:
+            raise ValueError(f"min ({self.min:g}) must be smaller than max ({self.max:g})")
+        return self
+
+
+class Metric(_Section):
+    """``[metric]``: horizon of the windowed simulation, s."""
+
+    horizon: Annotated[float, Field(gt=0)] | None = None
+
+
+class Table(_Section):
+    """``[table]``: how to read a file that is not already in our names and units."""
+
+    header: bool | None = None
+    delimiter: Literal["comma", "tab", "whitespace", "semicolon"] | None = None
+    rate: Annotated[float, Field(gt=0)] | None = None
+    decimal: Literal[".", ","] = "."
+    skip_rows: Annotated[int, Field(ge=0)] = 0
+    comment: str | None = None
+    sheet: str | None = None
+    bad_rows: Literal["drop", "fail"] = "drop"
+
+
+Column = Annotated[int, Field(ge=0)] | str
+Factor = float | list[float]
+
+
+class Channel(_Section):
+    """One entry of ``[channels]``: value = raw · ``scale`` + ``offset``; columns by name or number."""
+
+    column: Column | None = None
+    columns: list[Column] | None = None
+    scale: Factor = 1.0
+    offset: Factor = 0.0
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Channel:
+        if (self.column is None) == (self.columns is None):
+            raise ValueError("give either `column` (one) or `columns` (a list)")
+        for name, factor in (("scale", self.scale), ("offset", self.offset)):
+            if isinstance(factor, list) and len(factor) != len(self.sources()):
+                counts = f"{len(factor)} values for {len(self.sources())} columns"
+                raise ValueError(f"`{name}` has {counts}; give one, or one each")
+        return self
+
+    def sources(self) -> tuple[Column, ...]:
+        """The columns of the file that this channel is made of, in order."""
+        return tuple(self.columns) if self.columns is not None else (self.column,)  # type: ignore[arg-type]
+
+
+class RigFile(_Section):
+    """A whole rig file; ``path`` and ``text`` say where it came from (a file or an attachment)."""
+
+    rig: RigSection
+    known: dict[str, float | list[float] | str] = {}
+    nominal: dict[str, float] = {}
+    limits: dict[str, Limit] = {}
+    metric: Metric = Metric()
+    table: Table = Table()
+    channels: dict[str, Channel] = {}
+    path: Path = Field(default=Path("rig.toml"), exclude=True)
+    text: str = Field(default="", exclude=True)
+
+    @property
+    def kind(self) -> RigKind:
+        """The kind of rig that this file describes."""
+        return KINDS[self.rig.kind]
+
+    def known_number(self, name: str) -> float | None:
+        """A scalar of ``[known]``, or None when it is to be estimated."""
+        value = self.known.get(name)
+        return float(value) if isinstance(value, (int, float)) else None
+
+    @field_validator("nominal", mode="before")
+    @classmethod
+    def _flattened(cls, value: object) -> object:
+        return dict(_flatten(value)) if isinstance(value, Mapping) else value
+
+    @model_validator(mode="after")
+    def _names_exist(self) -> RigFile:
+        signals = {signal.name for signal in self.kind.signals()}
+        _check_names("known", self.known, set(self.kind.known))
+        _check_names("limits", self.limits, signals)
+        _check_names("channels", self.channels, signals | {"t"})
+        for name, value in self.known.items():
+            if isinstance(value, float) and not 0 < value < float("inf"):
+                raise ValueError(f"known.{name} must be a positive number, found {value:g}")
+        return self
+
+
+def load_rig(path: Path) -> RigFile:
+    """Read a rig file; RigFileError names the file, the field and what was expected."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise RigFileError(f"{path}: cannot be read as a rig file (TOML): {error}") from error
+    return parse_rig(text, path)
+
+
+def parse_rig(text: str, path: Path) -> RigFile:
+    """Read the text of a rig file; ``path`` serves messages and relative paths."""
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise RigFileError(f"{path}: not TOML: {error}") from error
+    if "rig" not in data:
+        near = suggestion("rig", data)
+        raise RigFileError(
+            f'{path}: the table [rig] with kind = "…" is missing{near}; kinds: {", ".join(KINDS)}'
+        )
+    _refuse_reserved(data, path)
+    try:
+        return RigFile.model_validate({**data, "path": path, "text": text})
+    except ValidationError as error:
+        raise RigFileError(explain(error, path, RigFile)) from error
+
+
+def default_rig(kind: str) -> RigFile:
+    """A rig file that says nothing but its kind."""
+    return parse_rig(f'[rig]\nkind = "{kind_named(kind).name}"\n', Path(f"{kind}.toml"))
+
+
+def explain(error: ValidationError, path: Path, model: type[BaseModel]) -> str:
+    """Put pydantic's complaints into one line each: file, field, what was expected, what was found."""
+    return "\n".join(f"{path}: {_complaint(item, model)}" for item in error.errors(include_url=False))
+
+
+# pydantic names the branch of a union that it tried; that is no place in a file
+PYDANTIC_BRANCHES = {"str", "int", "float", "list[float]", "constrained-int"}
+
+
+def _complaint(item: Any, model: type[BaseModel]) -> str:
+    places = [str(part) for part in item["loc"] if str(part) not in PYDANTIC_BRANCHES]
+    field = ".".join(places) or "file"
+    if item["type"] == "extra_forbidden":
+        known = _fields_at(model, item["loc"][:-1])
+        return f"{field}: unknown key{suggestion(str(item['loc'][-1]), known)}; known: {', '.join(known)}"
+    if item["type"] == "missing":
+        return f"{field}: this key is missing"
+    message = str(item["msg"]).removeprefix("Value error, ")
+    if item["type"] == "value_error":
+        return f"{field}: {message}" if places else message
+    return f"{field}: {message}, found {item['input']!r}"
+
+
+def _fields_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
+    """Names of the keys that are allowed at a place in a file, as far as the models tell."""
+    current: type[BaseModel] = model
+    for part in loc:
+        field = current.model_fields.get(str(part))
+        found = _model_within(field.annotation) if field is not None else None
+        if found is not None:
+            current = found
+    return [name for name, field in current.model_fields.items() if not field.exclude]
+
+
+def _model_within(annotation: object) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    for inner in getattr(annotation, "__args__", ()):
+        found = _model_within(inner)
+        if found is not None:
+            return found
+    return None
+
+
+def _check_names(section: str, given: Mapping[str, object], known: set[str]) -> None:
+    for name in given:
+        if name not in known:
+            raise ValueError(
+                f"{section}.{name}: unknown name{suggestion(name, known)}; known: {', '.join(sorted(known))}"
+            )
+
+
+def _refuse_reserved(data: Mapping[str, object], path: Path) -> None:
+    for name in ("path", "text"):
+        if name in data:
+            raise RigFileError(f"{path}: {name}: unknown key; known: {', '.join(_fields_at(RigFile, ()))}")
+
+
+def _flatten(value: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, inner in value.items():
+        if isinstance(inner, Mapping):
+            yield from _flatten(inner, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", inner
+
+
+__all__ = [
+    "BALL_BEAM",
+    "KINDS",
+    "Channel",
+    "Limit",
+    "Metric",
+    "RigFile",
+    "RigKind",
+    "Table",
+    "default_rig",
+    "explain",
+    "kind_named",
+    "load_rig",
+    "parse_rig",
+]

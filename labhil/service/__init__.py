@@ -1,0 +1,1 @@
+"""What keeps a device honest: its host, and the recorder."""
