@@ -127,7 +127,9 @@ class Channel(_Section):
 
     def sources(self) -> tuple[Column, ...]:
         """The columns of the file that this channel is made of, in order."""
-        return tuple(self.columns) if self.columns is not None else (self.column,)  # type: ignore[arg-type]
+        if self.columns is not None:
+            return tuple(self.columns)
+        return () if self.column is None else (self.column,)
 
 
 class RigFile(_Section):
