@@ -1,0 +1,124 @@
+"""A problem turns a model and a record into residuals and a Jacobian; estimators know only that.
+
+Every window has an initial state of its own. Those states are nuisance: they are taken out of the
+Jacobian window by window (Golub and Pereyra's projection), so that the part that is left is as wide
+as the model has free parameters, however many windows there are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labhil.physics.model import Model, Record, Windows
+from labhil.signals import FloatArray, IntArray
+
+STEP = 1e-5
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """Where an estimator stands: free parameters in units of their scale, and all windows' states."""
+
+    z: FloatArray
+    states: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Linearised:
+    """Residuals (N·c,) in units of noise, the Jacobian by parameters (N·c, P) and by own states (N·c, S)."""
+
+    residuals: FloatArray
+    by_parameters: FloatArray
+    by_states: FloatArray
+
+
+class Problem:
+    """Residuals of simulated windows against a record, in units of the noise.
+
+    ``free`` (P,) are the places of the estimated parameters in the model's vector; ``base`` is that
+    vector with everything else in place; ``sigma`` (channels,) the noise that residuals are divided by.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        record: Record,
+        windows: Windows,
+        free: IntArray,
+        base: FloatArray,
+        sigma: FloatArray,
+    ) -> None:
+        self.model = model
+        self.record = record
+        self.windows = windows
+        self.free = free
+        self.base = base
+        self.sigma = sigma
+        chosen = [model.parameters[i] for i in free]
+        self.scale = np.array([p.scale for p in chosen])
+        self.lower = np.array([p.lower for p in chosen]) / self.scale
+        self.upper = np.array([p.upper for p in chosen]) / self.scale
+        channels = record.outputs.shape[1]
+        self.owner = np.repeat(windows.owner, channels)
+        self.edges = np.flatnonzero(np.r_[True, np.diff(self.owner) > 0])
+        self._measured = record.outputs[windows.rows]
+
+    def start(self) -> Point:
+        """The base values, with initial states guessed from the measurement."""
+        return Point(self.base[self.free] / self.scale, self.model.initial_states(self.record, self.windows))
+
+    def theta(self, z: FloatArray) -> FloatArray:
+        """The model's whole vector for scaled free parameters ``z``."""
+        theta = self.base.copy()
+        theta[self.free] = z * self.scale
+        return theta
+
+    def residuals(self, point: Point) -> FloatArray:
+        """(simulated − measured) / noise, (N·c,)."""
+        simulated = self.model.simulate(self.theta(point.z), self.record, self.windows, point.states)
+        return np.asarray(((simulated - self._measured) / self.sigma).ravel())
+
+    def linearise(self, point: Point, residuals: FloatArray, *, central: bool = False) -> Linearised:
+        """Differences of the simulation; ``central`` where the bounds leave room, else one-sided."""
+        by_parameters = np.empty((residuals.size, len(self.free)))
+        for j in range(len(self.free)):
+            by_parameters[:, j] = self._slope(point, residuals, j, central)
+        by_states = np.empty((residuals.size, len(self.model.state_scale)))
+        for s, scale in enumerate(self.model.state_scale):
+            states = point.states.copy()
+            states[:, s] += STEP * scale
+            by_states[:, s] = (self.residuals(Point(point.z, states)) - residuals) / STEP
+        return Linearised(residuals, by_parameters, by_states)
+
+    def _slope(self, point: Point, residuals: FloatArray, j: int, central: bool) -> FloatArray:
+        step = STEP * max(1.0, abs(point.z[j]))
+        up, down = point.z.copy(), point.z.copy()
+        up[j] += step
+        down[j] -= step
+        if up[j] > self.upper[j]:
+            return (residuals - self.residuals(Point(down, point.states))) / step
+        above = self.residuals(Point(up, point.states))
+        if not central or down[j] < self.lower[j]:
+            return (above - residuals) / step
+        return (above - self.residuals(Point(down, point.states))) / (2.0 * step)
+
+    def per_window(self, rows: FloatArray) -> FloatArray:
+        """Sum rows (N·c, …) within each window, (W, …)."""
+        return np.add.reduceat(rows, self.edges, axis=0)
+
+    def state_gram(self, by_states: FloatArray, damping: float = 0.0) -> FloatArray:
+        """AᵀA of each window's own states (W, S, S), damped and kept invertible where a state has no effect."""
+        gram = self.per_window(by_states[:, :, None] * by_states[:, None, :])
+        diagonal = np.einsum("wss->ws", gram)
+        diagonal *= 1.0 + damping
+        diagonal += 1e-9 * diagonal.max(axis=1, keepdims=True) + 1e-12
+        return gram
+
+    def project(self, lin: Linearised, columns: FloatArray) -> FloatArray:
+        """Take out of ``columns`` (N·c, k) what the windows' own states could explain."""
+        gram = self.state_gram(lin.by_states)
+        mixed = self.per_window(lin.by_states[:, :, None] * columns[:, None, :])
+        share = np.linalg.solve(gram, mixed)
+        return np.asarray(columns - np.einsum("ns,nsk->nk", lin.by_states, share[self.owner]))

@@ -1,0 +1,206 @@
+"""What may be said of an estimate: standard errors, tests, intervals, and what the data cannot know.
+
+The covariance does not assume white residuals. With the projected Jacobian J (states of the windows
+taken out) and residuals r, both in units of noise,
+
+    C = (JᵀJ)⁻¹ · S · (JᵀJ)⁻¹,   S = Γ₀ + Σ_l w_l·(Γ_l + Γ_lᵀ),   Γ_l = Σ_t J_t r_t r_{t−l} J_{t−l}ᵀ
+
+with Bartlett's weights (Newey and West 1987) and Andrews' (1991) bandwidth. Negative correlation is
+not allowed to shrink a variance below the classical σ̂²(JᵀJ)⁻¹.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy import stats
+
+from labhil.physics.terms import Parameter
+from labhil.signals import FloatArray
+
+ALPHA = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """One parameter with what is known of it; ``ci99`` is the Wald interval at 99 %, cut at the bounds.
+
+    ``std_error_reference`` is the reference text's own formula, √C_ii/√n of the classical covariance,
+    kept for comparison with its tables only: its intervals are far too narrow.
+    """
+
+    name: str
+    term: str | None
+    joint: int | None
+    value: float
+    unit: str
+    std_error: float
+    std_error_reference: float
+    ci99: tuple[float, float]
+    z: float
+    p_value: float
+    significant: bool
+    identifiable: bool
+    at_bound: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Identifiability:
+    """Rank of the scaled sensitivities, and products of powers that are known where single values are not."""
+
+    rank: int
+    of: int
+    combinations: tuple[str, ...]
+    would_help: tuple[str, ...]
+
+
+def robust_covariance(jacobian: FloatArray, residuals: FloatArray, dof: int) -> FloatArray:
+    """Covariance (P, P) of least-squares estimates whose residuals (N,) may be correlated in time.
+
+    ``jacobian`` (N, P) is the projected one; ``dof`` the residual degrees of freedom.
+    """
+    n = len(residuals)
+    inverse = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-14, hermitian=True)
+    classical = inverse * float(residuals @ residuals) / dof
+    scores = jacobian * residuals[:, None]
+    robust = inverse @ long_run_variance(scores) @ inverse * (n / dof)
+    shortfall = np.sqrt(
+        np.maximum(1.0, np.diag(classical) / np.maximum(np.diag(robust), 1e-300))
+    )
+    return np.asarray(robust * np.outer(shortfall, shortfall))
+
+
+def long_run_variance(scores: FloatArray) -> FloatArray:
+    """n times the long-run covariance of the mean of rows (n, P), Bartlett kernel."""
+    total = scores.T @ scores
+    reach = bandwidth(scores)
+    for lag in range(1, reach + 1):
+        weight = 1.0 - lag / (reach + 1)
+        cross = scores[lag:].T @ scores[:-lag]
+        total = total + weight * (cross + cross.T)
+    return np.asarray(total)
+
+
+def bandwidth(scores: FloatArray) -> int:
+    """Andrews' automatic bandwidth for Bartlett's kernel, from an AR(1) of each column."""
+    n = len(scores)
+    if n < 8:
+        return 0
+    scores = scores[:, np.any(scores, axis=0)]
+    power = np.mean(scores**2, axis=0)
+    rho = np.mean(scores[1:] * scores[:-1], axis=0) / np.maximum(power, 1e-300)
+    rho = np.clip(rho, -0.97, 0.97)
+    # columns are weighted to have the same power, so only their correlations count
+    share = (1.0 - rho**2) ** 2
+    top = float(np.sum(4.0 * rho**2 * share / ((1.0 - rho) ** 6 * (1.0 + rho) ** 2)))
+    bottom = float(np.sum(share / (1.0 - rho) ** 4))
+    reach = 1.1447 * (top / max(bottom, 1e-300) * n) ** (1.0 / 3.0)
+    return int(min(np.ceil(reach), n // 4))
+
+
+def estimates(
+    parameters: list[Parameter], values: FloatArray, covariance: FloatArray, classical: FloatArray, n: int
+) -> list[Estimate]:
+    """Put values, robust ``covariance`` and ``classical`` covariance (P, P) into a row per parameter."""
+    rows = []
+    quantile = float(stats.norm.ppf(1.0 - ALPHA / 2.0))
+    for i, parameter in enumerate(parameters):
+        value, error = float(values[i]), float(np.sqrt(max(covariance[i, i], 0.0)))
+        z = value / error if error > 0 else float("inf")
+        p_value = float(2.0 * stats.norm.sf(abs(z)))
+        at_bound = bool(value <= parameter.lower + 1e-9 * parameter.scale) or bool(
+            value >= parameter.upper - 1e-9 * parameter.scale
+        )
+        identifiable = 0.0 < error < max(parameter.scale, abs(value))
+        rows.append(
+            Estimate(
+                name=parameter.name,
+                term=parameter.name.partition(".")[0] if "." in parameter.name else None,
+                joint=None,
+                value=value,
+                unit=parameter.unit,
+                std_error=error,
+                std_error_reference=float(np.sqrt(max(classical[i, i], 0.0) / n)),
+                ci99=(
+                    max(value - quantile * error, parameter.lower),
+                    min(value + quantile * error, parameter.upper),
+                ),
+                z=z,
+                p_value=p_value,
+                significant=p_value < ALPHA and identifiable and not at_bound,
+                identifiable=identifiable,
+                at_bound=at_bound,
+            )
+        )
+    return rows
+
+
+def identifiability(parameters: list[Parameter], values: FloatArray, jacobian: FloatArray) -> Identifiability:
+    """Singular values of the sensitivities by log-parameters (N, P), columns scaled to the values.
+
+    Directions whose singular value is under 1e-6 of the largest change nothing in the output; what
+    is constant along them is what the data know.
+    """
+    scale = np.array([abs(v) if v else p.scale for v, p in zip(values, parameters, strict=True)])
+    sensitivities = jacobian * scale
+    if not len(values):
+        return Identifiability(0, 0, (), ())
+    _, singular, rows = np.linalg.svd(sensitivities, full_matrices=False)
+    weak = singular <= 1e-6 * max(singular[0], 1e-300)
+    names = [p.name for p in parameters]
+    combinations = [text for row in rows[weak] for text in invariants(names, row)]
+    return Identifiability(int(np.sum(~weak)), len(values), tuple(dict.fromkeys(combinations)), ())
+
+
+def invariants(names: list[str], direction: FloatArray) -> list[str]:
+    """Products of powers that stay constant when log-parameters move along ``direction``.
+
+    >>> invariants(["a", "b", "c"], np.array([0.7, 0.7, 0.0]))
+    ['a/b']
+    """
+    largest = float(np.abs(direction).max())
+    relative = direction / largest
+    members = [i for i in range(len(names)) if abs(relative[i]) > 0.05]
+    texts = []
+    for a, b in pairwise(members):
+        ratio = relative[a] / relative[b]
+        if abs(ratio - 1.0) < 0.05:
+            texts.append(f"{names[a]}/{names[b]}")
+        elif abs(ratio + 1.0) < 0.05:
+            texts.append(f"{names[a]}·{names[b]}")
+        else:
+            texts.append(f"{names[a]}/{names[b]}^{ratio:.2g}")
+    return texts
+
+
+def whiteness(residuals: FloatArray, lags: int = 20) -> float:
+    """p value of Ljung and Box's test that residuals (n,) are white."""
+    from statsmodels.stats.diagnostic import acorr_ljungbox
+
+    if len(residuals) <= lags + 1 or not np.any(residuals):
+        return 1.0
+    table = acorr_ljungbox(residuals, lags=[lags], return_df=True)
+    return float(table["lb_pvalue"].iloc[0])
+
+
+def input_crosscorrelation(residuals: FloatArray, inputs: FloatArray, lags: int = 20) -> float:
+    """p value of the test that residuals (n,) are uncorrelated with the input (n,) up to ``lags`` samples.
+
+    Both are filtered with the residuals' own AR(1) first, so that correlated noise is no alarm; then
+    n·R² of a regression on the lagged inputs is χ² with as many degrees of freedom as they have rank.
+    """
+    n = len(residuals) - lags
+    if n <= 2 * lags:
+        return 1.0
+    rho = float(residuals[1:] @ residuals[:-1] / max(residuals @ residuals, 1e-300))
+    r, u = residuals[1:] - rho * residuals[:-1], inputs[1:] - rho * inputs[:-1]
+    lagged = np.column_stack([u[lags - k : len(u) - k] for k in range(lags)])
+    lagged = lagged - lagged.mean(axis=0)
+    target = r[lags:] - r[lags:].mean()
+    left, singular, _ = np.linalg.svd(lagged, full_matrices=False)
+    strong = singular > 1e-8 * max(singular[0], 1e-300)
+    explained = float(np.sum((left[:, strong].T @ target) ** 2))
+    statistic = len(target) * explained / max(float(target @ target), 1e-300)
+    return float(stats.chi2.sf(statistic, int(np.sum(strong))))

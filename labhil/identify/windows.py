@@ -1,0 +1,118 @@
+"""How a record is cut into windows: to fit on, and to score on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labhil.errors import RecordingError
+from labhil.physics.model import Record, Windows
+from labhil.signals import FloatArray
+
+FEWEST_SAMPLES = 20
+"""In a record, and in the lead-in of a scored window."""
+
+FEWEST_IN_WINDOW = 8
+"""In a window that is fitted: its own state costs a few."""
+
+
+def fit_windows(record: Record, length: float) -> Windows:
+    """Cut a record into equal windows of about ``length`` s, end to end.
+
+    Raises RecordingError when the record is too short for one window of 20 samples.
+    """
+    n = len(record)
+    if n < FEWEST_SAMPLES:
+        raise RecordingError(f"too short: {n} samples, at least {FEWEST_SAMPLES} are needed")
+    duration = record.t[-1] - record.t[0]
+    count = max(1, round(duration / length))
+    count = min(count, n // FEWEST_IN_WINDOW)
+    edges = np.searchsorted(record.t, record.t[0] + duration * np.arange(count + 1) / count)
+    edges[-1] = n
+    spans = [(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True) if b - a > 1]
+    return Windows.of(spans)
+
+
+@dataclass(frozen=True, slots=True)
+class ScoredWindows:
+    """Windows with a lead-in, where a model finds its initial state, and a scored rest.
+
+    ``lead`` covers the lead-ins alone, ``whole`` lead-in and scored part; ``scored`` (N,) marks the
+    rows of ``whole`` that count.
+    """
+
+    lead: Windows
+    whole: Windows
+    scored: np.ndarray
+    horizon: float
+
+
+def scored_windows(record: Record, horizon: float) -> ScoredWindows:
+    """Tile a record with scored stretches of ``horizon`` s, each after a lead-in of half of that.
+
+    The lead-in has at least 20 samples, or as many as there are. The last stretch may be shorter,
+    down to half a horizon. Raises RecordingError when not even one fits.
+    """
+    n = len(record)
+    lead = max(0.5 * horizon, FEWEST_SAMPLES * record.period)
+    starts = np.arange(record.t[0] + lead, record.t[-1] - 0.5 * horizon, horizon)
+    if not len(starts):
+        have = record.t[-1] - record.t[0] if n else 0.0
+        raise RecordingError(
+            f"too short to score: {have:.3g} s, one window needs {lead + 0.5 * horizon:.3g} s "
+            f"(lead-in {lead:.3g} s and half a horizon); a shorter [metric] horizon may do"
+        )
+    first = np.searchsorted(record.t, starts - lead)
+    middle = np.searchsorted(record.t, starts)
+    last = np.minimum(np.searchsorted(record.t, starts + horizon), n)
+    lead_windows = Windows.of(list(zip(first.tolist(), middle.tolist(), strict=True)))
+    whole = Windows.of(list(zip(first.tolist(), last.tolist(), strict=True)))
+    return ScoredWindows(lead_windows, whole, whole.rows >= middle[whole.owner], horizon)
+
+
+def split(record: Record, share: float, gap: float) -> tuple[Record, Record]:
+    """Hold out the last ``share`` of a record, contiguous, after a gap of ``gap`` s."""
+    start = record.t[-1] - share * (record.t[-1] - record.t[0])
+    cut = int(np.searchsorted(record.t, start - gap))
+    return part(record, 0, cut), part(record, int(np.searchsorted(record.t, start)), len(record))
+
+
+def part(record: Record, first: int, last: int) -> Record:
+    """The samples first … last − 1 of a record."""
+    return Record(
+        record.t[first:last],
+        record.inputs[first:last],
+        record.outputs[first:last],
+        record.input_names,
+        record.output_names,
+        record.output_units,
+    )
+
+
+def noise_of(record: Record) -> FloatArray:
+    """Standard deviation of the measurement noise of each channel, from the recording alone, (channels,).
+
+    Third differences leave nothing of a motion that is smooth over four samples and 20 times the
+    variance of white noise; a robust scale keeps events out of it. A channel in steps (an ADC that
+    the noise does not dither) has at least the variance of rounding, step²/12.
+    """
+    sigmas = []
+    for column in record.outputs.T:
+        third = np.diff(column, n=3)
+        spread = float(np.sqrt(np.mean(np.square(third[np.abs(third) <= 4.0 * _robust(third)])) / 20.0))
+        sigmas.append(max(spread, smallest_step(column) / np.sqrt(12.0), 1e-12))
+    return np.array(sigmas)
+
+
+def smallest_step(column: FloatArray) -> float:
+    """The step of a quantised channel, or 0 when nearly all values differ."""
+    values = np.unique(column)
+    if len(values) > 0.5 * len(column) or len(values) < 2:
+        return 0.0
+    return float(np.median(np.diff(values)))
+
+
+def _robust(x: FloatArray) -> float:
+    centre = float(np.median(np.abs(x)))
+    return 1.4826 * centre if centre > 0 else float(np.std(x)) + 1e-300

@@ -1,0 +1,272 @@
+"""The ball and beam as it is fitted: rig parameters, terms, and their way into the rolling kernel.
+
+(M + J/R²)·ẍ + (J/R)·β̈ = M·g·sin β + M·x·β̇² − friction + forces, J = (2/5)·M·R² (a solid ball),
+β = asin((crank_radius/beam_length)·sin γ). Equations 4.13 to 4.18 of the reference text.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from labhil.physics import input_path, rolling
+from labhil.physics.friction_terms import friction_terms
+from labhil.physics.model import Record, Windows, index_of, start_values
+from labhil.physics.path_terms import input_terms, output_terms
+from labhil.physics.terms import Enters, Parameter, Term, Yardstick
+from labhil.rig import RigFile
+from labhil.signals import FloatArray
+
+GRAVITY = 9.81
+SOLID_BALL = 0.4
+DEFAULT_HORIZON = 4.0
+SPEED = 0.2
+SPAN = 0.2
+
+RIG_PARAMETERS = {
+    "ball_mass": Parameter("ball_mass", "kg", 0.1, 1e-3, 10.0, starts=(0.2,)),
+    "ball_radius": Parameter("ball_radius", "m", 0.01, 1e-3, 0.1, starts=(0.02,)),
+    "crank_radius": Parameter("crank_radius", "m", 0.05, 1e-3, 1.0, starts=(0.05,)),
+    "beam_length": Parameter("beam_length", "m", 0.2, 1e-2, 3.0, starts=(0.4,)),
+    "acceleration_per_radian": Parameter(
+        "acceleration_per_radian", "m/s²", 5.0, 1e-3, 50.0, starts=(GRAVITY / (1.0 + SOLID_BALL),)
+    ),
+}
+
+
+def catalogue(per_unit_mass: bool) -> dict[str, Term]:
+    """All terms; with ``per_unit_mass`` friction is an acceleration and levels are in m/s²."""
+    force, level = ("m/s²", 0.3) if per_unit_mass else ("N", 0.1)
+    loads = (
+        Term(
+            "constant_force",
+            Enters.FORCE,
+            "a constant push along the beam (a tilted base, an angle offset)",
+            "F = F_0",
+            "standard",
+            "rest and motion both ways",
+            (Parameter("constant_force.force", force, level),),
+        ),
+        Term(
+            "spring_force",
+            Enters.FORCE,
+            "a pull back towards the pivot in proportion to position (a cable)",
+            "F = −k·x",
+            "Hooke",
+            "motion over the whole range",
+            (Parameter("spring_force.stiffness", f"{force}/m", level / SPAN),),
+        ),
+        Term(
+            "spring_hardening",
+            Enters.FORCE,
+            "a pull back towards the pivot that stiffens with position",
+            "F = −k₃·x³",
+            "Duffing",
+            "motion over the whole range",
+            (Parameter("spring_hardening.coefficient", f"{force}/m³", level / SPAN**3),),
+        ),
+    )
+    inertia = Term(
+        "added_inertia",
+        Enters.FORCE,
+        "more (or less) inertia than a solid ball of the known mass (a groove, a hollow ball)",
+        "(M + J/R² + m_a)·ẍ = …",
+        "rolling radius of a grooved beam",
+        "fast motion with friction known",
+        (Parameter("added_inertia.mass", "kg", 0.05, -0.2),),
+    )
+    terms = friction_terms(force, "m", level, SPEED) + loads + input_terms("rad")
+    terms += output_terms("ball_position", "m", SPAN) + (() if per_unit_mass else (inertia,))
+    return {term.name: term for term in terms}
+
+
+class BallBeamModel:
+    """The white-box model of one ball-and-beam rig (satisfies ``physics.model.Model``).
+
+    ``input_name`` is ``servo_angle`` or ``beam_angle``. Parameters that the rig file does not know
+    are estimated; without ``ball_mass`` everything is per unit of mass.
+    """
+
+    kind = "ball_beam"
+    state_names = ("ball_position", "ball_velocity")
+    state_scale = np.array([0.01, 0.05])
+
+    def __init__(self, rig: RigFile, input_name: str) -> None:
+        self.linkage = input_name == "servo_angle"
+        self.per_unit_mass = rig.known_number("ball_mass") is None
+        self.terms: Mapping[str, Term] = catalogue(self.per_unit_mass)
+        self.horizon = rig.metric.horizon or DEFAULT_HORIZON
+        self.fixed = {name: value for name in rig.kind.known if (value := rig.known_number(name)) is not None}
+        own = tuple(RIG_PARAMETERS[name] for name in self._estimated())
+        self.parameters = own + tuple(p for term in self.terms.values() for p in term.parameters)
+        self._index = index_of(self.parameters)
+
+    def _estimated(self) -> list[str]:
+        names = ["acceleration_per_radian"] if self.per_unit_mass else []
+        ratio = ("crank_radius", "beam_length")
+        if self.linkage and not (self.per_unit_mass and not any(name in self.fixed for name in ratio)):
+            # with neither mass nor linkage known, the gain is per radian of the servo and absorbs both
+            names += [name for name in ratio if name not in self.fixed]
+        return names
+
+    def initial_states(self, record: Record, windows: Windows) -> FloatArray:
+        """Position and slope of a straight line through the first samples of each window."""
+        states = np.empty((len(windows), 2))
+        count = max(4, int(0.15 / record.period))
+        for w, (first, last) in enumerate(zip(windows.first, windows.last, strict=True)):
+            stop = min(first + count, last)
+            t = record.t[first:stop] - record.t[first]
+            slope, start = np.polyfit(t, record.outputs[first:stop, 0], 1) if stop - first > 1 else (0.0, 0.0)
+            states[w] = start, slope
+        return states
+
+    def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
+        """Measured position in m, (N, 1)."""
+        x = self._trajectory(theta, record, windows, states)[0][:, 0]
+        return self._sensor(theta, record, windows, x)[:, None]
+
+    def coordinates(
+        self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
+    ) -> Mapping[str, FloatArray]:
+        """Ball position and velocity along the simulation, and the input with its rate."""
+        motion, sine, beam = self._trajectory(theta, record, windows, states)
+        nodes = record.t + self._value(theta, "time_delay.delay")
+        sine, beam = (np.interp(record.t, nodes, signal) for signal in (sine, beam))
+        rate = np.gradient(beam, record.t)
+        u = record.inputs[:, 0]
+        return {
+            "ball_position": motion[:, 0],
+            "ball_velocity": motion[:, 1],
+            record.input_names[0]: u[windows.rows],
+            f"{record.input_names[0]}_rate": np.gradient(u, record.t)[windows.rows],
+            "beam_sine": sine[windows.rows],
+            "beam_rate": rate[windows.rows],
+        }
+
+    def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
+        """Acceleration of the ball times its effective mass, N (m/s² per unit of mass)."""
+        k = self._kernel(theta)
+        x, v = coordinates["ball_position"], coordinates["ball_velocity"]
+        a = efforts(x, v, coordinates["beam_sine"], coordinates["beam_rate"], k)
+        return np.asarray(a) * self._effective_mass(theta)
+
+    def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
+        """What starts are fractions of, from this recording."""
+        u, t = record.inputs[:, 0], record.t
+        largest = float(np.abs(u).max()) or 1.0
+        speed = np.diff(record.outputs[:: self._stride(record), 0]) / np.diff(t[:: self._stride(record)])
+        ratio = self._ratio(start_values(self.parameters)) if self.linkage else 1.0
+        return {
+            Yardstick.UNIT: 1.0,
+            Yardstick.INPUT: largest,
+            Yardstick.INPUT_RATE: float(np.quantile(np.abs(np.gradient(u, t)), 0.98)) or 1.0,
+            Yardstick.DRIVE: GRAVITY * self.fixed.get("ball_mass", 0.5) * ratio * np.sin(min(largest, 1.5)),
+            Yardstick.SPEED: float(np.sqrt(np.mean(speed**2))) or SPEED,
+        }
+
+    @staticmethod
+    def _stride(record: Record) -> int:
+        return max(1, int(0.1 / record.period))
+
+    def _value(self, theta: FloatArray, name: str) -> float:
+        if name in self.fixed:
+            return self.fixed[name]
+        return float(theta[self._index[name]]) if name in self._index else 0.0
+
+    def _effective_mass(self, theta: FloatArray) -> float:
+        if self.per_unit_mass:
+            return 1.0
+        return (1.0 + SOLID_BALL) * self.fixed["ball_mass"] + self._value(theta, "added_inertia.mass")
+
+    def _kernel(self, theta: FloatArray) -> FloatArray:
+        """Everything per unit of effective mass, in the order of ``physics.rolling``."""
+        m_eff = self._effective_mass(theta)
+        if self.per_unit_mass:
+            gain = self._value(theta, "acceleration_per_radian")
+            share = gain / GRAVITY
+        else:
+            share = self.fixed["ball_mass"] / m_eff
+            gain = share * GRAVITY
+        k = np.zeros(rolling.SIZE)
+        k[rolling.GRAVITY], k[rolling.CENTRIFUGAL] = gain, share
+        k[rolling.ROLLING] = SOLID_BALL * self.fixed.get("ball_radius", 0.0) * share
+        for place, name in KERNEL_PLACES.items():
+            k[place] = self._value(theta, name) / m_eff
+        k[rolling.STRIBECK_VELOCITY] = self._value(theta, "stribeck_friction.velocity")
+        return k
+
+    def _trajectory(
+        self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(x, v) of all windows (N, 2); sin β and β of every sample (n,), not yet delayed."""
+        u = self._effective_input(theta, record)
+        ratio = self._ratio(theta)
+        sine = np.clip(ratio * np.sin(u), -0.999, 0.999) if self.linkage else np.sin(u)
+        beam = np.arcsin(sine) if self.linkage else u
+        nodes = record.t + self._value(theta, "time_delay.delay")
+        out = np.empty((len(windows.rows), 2))
+        k = self._kernel(theta)
+        rolling.simulate(record.t, nodes, sine, beam, windows.first, windows.last, states, k, out)
+        return out, sine, beam
+
+    def _ratio(self, theta: FloatArray) -> float:
+        if "crank_radius" not in self.fixed and "crank_radius" not in self._index:
+            return 1.0
+        return self._value(theta, "crank_radius") / self._value(theta, "beam_length")
+
+    def _effective_input(self, theta: FloatArray, record: Record) -> FloatArray:
+        """The angle behind backlash, dead zone, saturation, rate limit and lag; the delay comes with the nodes."""
+        u, t = np.ascontiguousarray(record.inputs[:, 0]), record.t
+        gap = self._value(theta, "backlash.gap")
+        left, right = self._value(theta, "dead_zone.left"), self._value(theta, "dead_zone.right")
+        inverse_limit = self._value(theta, "saturation.inverse_limit")
+        inverse_rate = self._value(theta, "rate_limit.inverse_rate")
+        time_constant = self._value(theta, "actuator_lag.time_constant")
+        u = input_path.backlash(u, gap) if gap else u
+        u = input_path.dead_zone(u, left, right) if left or right else u
+        u = input_path.saturation(u, inverse_limit) if inverse_limit else u
+        u = input_path.rate_limit(t, u, inverse_rate) if inverse_rate else u
+        return input_path.first_order_lag(t, u, time_constant) if time_constant else u
+
+    def _sensor(self, theta: FloatArray, record: Record, windows: Windows, x: FloatArray) -> FloatArray:
+        x = x + self._value(theta, "sensor_nonlinearity.cubic") * x**3
+        x = x * (1.0 + self._value(theta, "sensor_gain.gain"))
+        time_constant = self._value(theta, "sensor_lag.time_constant")
+        if not time_constant:
+            return x
+        edges = np.flatnonzero(np.diff(windows.owner)) + 1
+        pieces = zip(np.split(record.t[windows.rows], edges), np.split(x, edges), strict=True)
+        return np.concatenate([input_path.first_order_lag(t, part, time_constant) for t, part in pieces])
+
+
+KERNEL_PLACES = {
+    rolling.VISCOUS: "viscous_friction.coefficient",
+    rolling.COULOMB: "coulomb_friction.level",
+    rolling.STATIC: "static_friction.level",
+    rolling.STRIBECK: "stribeck_friction.level",
+    rolling.QUADRATIC: "quadratic_viscous_friction.coefficient",
+    rolling.CUBIC: "cubic_viscous_friction.coefficient",
+    rolling.ASYMMETRIC_VISCOUS: "friction_asymmetry.coefficient",
+    rolling.ASYMMETRIC_DRY: "friction_asymmetry.level",
+    rolling.DRY_SLOPE: "position_dependent_friction.slope",
+    rolling.CONSTANT: "constant_force.force",
+    rolling.SPRING: "spring_force.stiffness",
+    rolling.HARDENING: "spring_hardening.coefficient",
+}
+
+
+def efforts(x: FloatArray, v: FloatArray, sine: FloatArray, rate: FloatArray, k: FloatArray) -> FloatArray:
+    """Acceleration of moving balls at many places at once, m/s²; zero where the ball rests."""
+    drive = (
+        k[rolling.GRAVITY] * sine
+        + k[rolling.CENTRIFUGAL] * x * rate**2
+        + k[rolling.CONSTANT]
+        - x * (k[rolling.SPRING] + k[rolling.HARDENING] * x**2)
+    )
+    speed, side = np.abs(v), np.sign(v)
+    dry = k[rolling.COULOMB] + side * k[rolling.ASYMMETRIC_DRY] + k[rolling.DRY_SLOPE] * x
+    dry = dry + k[rolling.STRIBECK] * np.exp(-speed / k[rolling.STRIBECK_VELOCITY])
+    viscous = v * (k[rolling.VISCOUS] + k[rolling.QUADRATIC] * speed + k[rolling.CUBIC] * v**2)
+    moving = drive - side * dry - viscous - k[rolling.ASYMMETRIC_VISCOUS] * speed
+    return np.where(speed > 0.0, moving, 0.0)

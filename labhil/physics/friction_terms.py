@@ -1,0 +1,120 @@
+"""Friction terms, the same for every moving part; only the units of force and velocity differ.
+
+friction = viscous·v + [coulomb + stribeck·exp(−|v|/v_s)]·sgn v + …, so levels add up: the Stribeck
+level is what the friction at creeping speed exceeds Coulomb friction by, and ``static_friction`` is
+the hold at rest beyond both.
+"""
+
+from __future__ import annotations
+
+from labhil.physics.terms import Enters, Parameter, Term, Yardstick
+
+SOURCE = "eq. 4.17 of the reference text, its Stribeck exponent with the minus sign"
+
+
+def friction_terms(force: str, length: str, level: float, speed: float) -> tuple[Term, ...]:
+    """Terms for one moving part.
+
+    ``force`` and ``length`` are units ("N", "m"; "N·m", "rad"); ``level`` a typical friction force
+    and ``speed`` a typical velocity in those units, for scales and starts.
+    """
+    velocity = f"{length}/s"
+    slope = level / speed
+    return (
+        Term(
+            "viscous_friction",
+            Enters.FORCE,
+            "friction that grows in proportion to velocity",
+            "F = c·v",
+            SOURCE,
+            "motion at several speeds",
+            (Parameter("viscous_friction.coefficient", f"{force}·s/{length}", slope, 0.0),),
+        ),
+        Term(
+            "coulomb_friction",
+            Enters.FORCE,
+            "dry friction: a force of constant size against the motion, which also holds at rest",
+            "F = F_c·sgn v",
+            SOURCE,
+            "motion in both directions, reversals",
+            (Parameter("coulomb_friction.level", force, level, 0.0, starts=(0.2,), of=Yardstick.DRIVE),),
+        ),
+        Term(
+            "static_friction",
+            Enters.FORCE,
+            "a hold at rest beyond the friction of creeping motion",
+            "|F| ≤ F_c + F_st + F_hold at v = 0",
+            "Coulomb's stiction as an event",
+            "slow reversals with stops",
+            (Parameter("static_friction.level", force, level, 0.0, starts=(0.1,), of=Yardstick.DRIVE),),
+        ),
+        Term(
+            "stribeck_friction",
+            Enters.FORCE,
+            "dry friction that falls from its break-away value as motion sets in",
+            "F = F_st·exp(−|v|/v_s)·sgn v",
+            SOURCE,
+            "creeping motion and reversals",
+            (
+                Parameter("stribeck_friction.level", force, level, starts=(0.1,), of=Yardstick.DRIVE),
+                Parameter(
+                    "stribeck_friction.velocity",
+                    velocity,
+                    0.1 * speed,
+                    1e-3 * speed,
+                    3.0 * speed,
+                    starts=(0.2, 0.05, 0.8),
+                    of=Yardstick.SPEED,
+                    shape=True,
+                ),
+            ),
+            with_terms=("coulomb_friction",),
+        ),
+        Term(
+            "quadratic_viscous_friction",
+            Enters.FORCE,
+            "friction that grows with the square of velocity (drag)",
+            "F = c₂·v·|v|",
+            SOURCE,
+            "fast motion",
+            (
+                Parameter(
+                    "quadratic_viscous_friction.coefficient", f"{force}·s²/{length}²", slope / speed, 0.0
+                ),
+            ),
+        ),
+        Term(
+            "cubic_viscous_friction",
+            Enters.FORCE,
+            "friction that grows with the cube of velocity",
+            "F = c₃·v³",
+            SOURCE,
+            "fast motion",
+            (
+                Parameter(
+                    "cubic_viscous_friction.coefficient", f"{force}·s³/{length}³", slope / speed**2, 0.0
+                ),
+            ),
+        ),
+        Term(
+            "friction_asymmetry",
+            Enters.FORCE,
+            "friction that differs with the direction of motion",
+            "F = c_a·|v| + F_a (added while moving either way; F_a also shifts the hold at rest)",
+            "even part of a friction curve",
+            "several speeds both ways",
+            (
+                Parameter("friction_asymmetry.coefficient", f"{force}·s/{length}", slope),
+                Parameter("friction_asymmetry.level", force, level),
+            ),
+        ),
+        Term(
+            "position_dependent_friction",
+            Enters.FORCE,
+            "dry friction that changes along the way",
+            "F = s·x·sgn v",
+            "first-order expansion of F_c(x)",
+            "the same speeds at different places",
+            (Parameter("position_dependent_friction.slope", f"{force}/{length}", level / 0.2),),
+        ),
+    )

@@ -1,0 +1,133 @@
+"""What identification asks of a model: its parameters, its terms, and simulated windows of a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from labhil.errors import UnknownNameError
+from labhil.physics.terms import Parameter, Term, Yardstick
+from labhil.signals import FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """One recording as a model sees it.
+
+    ``t`` (n,) s, increasing; ``inputs`` (n, inputs) and ``outputs`` (n, channels) in SI units.
+    """
+
+    t: FloatArray
+    inputs: FloatArray
+    outputs: FloatArray
+    input_names: tuple[str, ...]
+    output_names: tuple[str, ...]
+    output_units: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def period(self) -> float:
+        """Median time between samples, s."""
+        return float(np.median(np.diff(self.t)))
+
+
+@dataclass(frozen=True, slots=True)
+class Windows:
+    """Stretches of a record that are simulated each from an initial state of its own.
+
+    Window w covers the samples first[w] … last[w] − 1. All results are the rows of all windows, one
+    after the other: ``rows`` (N,) are their sample numbers, ``owner`` (N,) the window of each.
+    """
+
+    first: IntArray
+    last: IntArray
+    rows: IntArray
+    owner: IntArray
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+    @classmethod
+    def of(cls, spans: Sequence[tuple[int, int]]) -> Windows:
+        """Build from (first, last) pairs."""
+        first = np.array([a for a, _ in spans], dtype=np.int64)
+        last = np.array([b for _, b in spans], dtype=np.int64)
+        if not len(first):
+            return cls(first, last, first.copy(), first.copy())
+        rows = np.concatenate([np.arange(a, b, dtype=np.int64) for a, b in spans])
+        return cls(first, last, rows, np.repeat(np.arange(len(first), dtype=np.int64), last - first))
+
+
+class Model(Protocol):
+    """A rig's white-box model: one simulation that knows every term, neutral at zero.
+
+    A vector ``theta`` holds a value for each of ``parameters``, in their order.
+    """
+
+    kind: str
+    state_names: tuple[str, ...]
+    state_scale: FloatArray
+    terms: Mapping[str, Term]
+    parameters: tuple[Parameter, ...]
+    fixed: Mapping[str, float]
+    horizon: float
+
+    def initial_states(self, record: Record, windows: Windows) -> FloatArray:
+        """Guess the state at the first sample of each window from the measurement alone, (w, states)."""
+        ...
+
+    def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
+        """Simulated outputs of all windows, (N, channels)."""
+        ...
+
+    def coordinates(
+        self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
+    ) -> Mapping[str, FloatArray]:
+        """Physical coordinates (positions, velocities, inputs) along the simulation, each (N,)."""
+        ...
+
+    def effort(
+        self, theta: FloatArray, coordinates: Mapping[str, FloatArray]
+    ) -> FloatArray:
+        """Generalised force (or acceleration) that the model exerts at these coordinates, (N,)."""
+        ...
+
+    def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
+        """What the starts of parameters are fractions of, in this record."""
+        ...
+
+
+def index_of(parameters: Sequence[Parameter]) -> dict[str, int]:
+    """Where each parameter stands in a vector ``theta``."""
+    return {parameter.name: i for i, parameter in enumerate(parameters)}
+
+
+def start_values(parameters: Sequence[Parameter]) -> FloatArray:
+    """The vector at which every term vanishes and the rig's own parameters are at their first start."""
+    return np.array([p.neutral if "." in p.name else p.starts[0] for p in parameters])
+
+
+def starts_of(model: Model, terms: Sequence[Term], record: Record) -> list[Mapping[str, float]]:
+    """Sets of values from which a fit of these terms may begin, the first with every level at zero."""
+    measure = model.yardsticks(record)
+    parameters = [p for term in terms for p in term.parameters]
+    begun = {p.name: tuple(s * measure[p.of] ** p.power for s in p.starts) for p in parameters}
+    neutral = {p.name: begun[p.name][0] if p.shape else 0.0 for p in parameters}
+    count = max((len(values) for values in begun.values()), default=0)
+    return [neutral] + [
+        {name: values[min(i, len(values) - 1)] if values else 0.0 for name, values in begun.items()}
+        for i in range(count)
+    ]
+
+
+def terms_named(model: Model, names: Sequence[str]) -> tuple[Term, ...]:
+    """The terms of a model by name, duplicates removed; UnknownNameError lists those that exist."""
+    for name in names:
+        if name not in model.terms:
+            raise UnknownNameError(f"term of {model.kind}", name, model.terms)
+    return tuple(model.terms[name] for name in dict.fromkeys(names))

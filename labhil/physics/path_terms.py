@@ -1,0 +1,105 @@
+"""Terms on the way in (command to mechanism) and on the way out (mechanism to sample), for every rig."""
+
+from __future__ import annotations
+
+from labhil.physics.terms import Enters, Parameter, Term, Yardstick
+
+
+def input_terms(unit: str) -> tuple[Term, ...]:
+    """Terms between a command in ``unit`` and what it moves; starts are fractions of what the recording holds."""
+    return (
+        Term(
+            "time_delay",
+            Enters.INPUT,
+            "the command acts later than it is recorded",
+            "u_eff(t) = u(t − T_d)",
+            "reference text, section 4.3",
+            "any input that changes; several frequencies tell it from a lag",
+            (Parameter("time_delay.delay", "s", 0.05, 0.0, 1.0, starts=(0.05,)),),
+        ),
+        Term(
+            "dead_zone",
+            Enters.INPUT,
+            "small commands have no effect, larger ones are shortened",
+            "u_eff = u − U_r above U_r, u + U_l below −U_l, 0 between",
+            "eq. 4.18 of the reference text",
+            "passages of the command through zero",
+            (
+                Parameter("dead_zone.left", unit, 0.1, 0.0, starts=(0.07,), of=Yardstick.INPUT),
+                Parameter("dead_zone.right", unit, 0.1, 0.0, starts=(0.07,), of=Yardstick.INPUT),
+            ),
+        ),
+        Term(
+            "backlash",
+            Enters.INPUT,
+            "play: after a reversal the mechanism waits until the gap is crossed",
+            "u_eff = play operator of width gap",
+            "Prandtl's play",
+            "reversals of the command at different amplitudes",
+            (Parameter("backlash.gap", unit, 0.1, 0.0, starts=(0.1, 0.3), of=Yardstick.INPUT),),
+        ),
+        Term(
+            "saturation",
+            Enters.INPUT,
+            "large commands are cut off",
+            "u_eff = clip(u, ±1/s)",
+            "standard",
+            "large amplitudes",
+            (Parameter("saturation.inverse_limit", f"1/{unit}", 1.0, 0.0, starts=(1.2, 1.7), of=Yardstick.INPUT, power=-1),),
+        ),
+        Term(
+            "rate_limit",
+            Enters.INPUT,
+            "the actuator follows no faster than its top speed",
+            "|du_eff/dt| ≤ 1/r",
+            "standard",
+            "large and fast commands",
+            (
+                Parameter(
+                    "rate_limit.inverse_rate", f"s/{unit}", 1.0, 0.0, starts=(1.2, 2.0), of=Yardstick.INPUT_RATE, power=-1
+                ),
+            ),
+        ),
+        Term(
+            "actuator_lag",
+            Enters.INPUT,
+            "the actuator follows as a first-order lag",
+            "T·u̇_eff + u_eff = u",
+            "standard",
+            "several frequencies; tells itself from a delay by the fall in gain",
+            (Parameter("actuator_lag.time_constant", "s", 0.05, 0.0, 2.0, starts=(0.05,)),),
+        ),
+    )
+
+
+def output_terms(channel: str, unit: str, span: float) -> tuple[Term, ...]:
+    """Terms between the plant and the samples of ``channel``, whose values span about ``span``."""
+    return (
+        Term(
+            "sensor_nonlinearity",
+            Enters.OUTPUT,
+            f"the sensor of {channel} is not straight",
+            "y = x + c·x³",
+            "odd static curve, first term",
+            "motion over the whole range",
+            (Parameter("sensor_nonlinearity.cubic", f"1/{unit}²", 0.1 / span**2),),
+        ),
+        Term(
+            "sensor_gain",
+            Enters.OUTPUT,
+            f"the sensor of {channel} reads too much or too little, in proportion",
+            "y = (1 + g)·x",
+            "standard",
+            "any motion",
+            (Parameter("sensor_gain.gain", "1", 0.1, -0.9),),
+        ),
+        Term(
+            "sensor_lag",
+            Enters.OUTPUT,
+            f"the sensor of {channel} follows as a first-order lag",
+            "T·ẏ + y = x",
+            "standard",
+            "fast motion",
+            (Parameter("sensor_lag.time_constant", "s", 0.05, 0.0, 2.0, starts=(0.05,)),),
+        ),
+    )
