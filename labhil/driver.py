@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import TracebackType
 from typing import ClassVar, Protocol, Self, runtime_checkable
 
@@ -137,7 +138,8 @@ class TwinOptions:
 
     ``terms`` names the effects that it carries beyond the bare rig (None: the twin's own default);
     ``parameters`` overrides single values; ``speed`` runs its world that many times faster than
-    real time; ``wire`` is ``"pty"`` or ``"tcp"``.
+    real time; ``wire`` is ``"pty"`` or ``"tcp"``. What the twin is made of is written to ``answer``
+    (JSON: ``terms``, ``parameters``, ``seed``) and told nowhere else.
     """
 
     seed: int = 0
@@ -145,6 +147,7 @@ class TwinOptions:
     terms: tuple[str, ...] | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
     wire: str = "pty"
+    answer: Path | None = None
 
 
 class ReadyCallback(Protocol):
