@@ -1,0 +1,173 @@
+"""A simulated ball and beam: servo angle in, converter counts out, one sample after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from labhil.compiled import compiled
+from labhil.errors import UsageError
+from labhil.plants.effects import resolve
+from labhil.plants.friction import Friction
+from labhil.plants.input_path import HISTORY, NEUTRAL, InputPath, delayed, first_order, follow, settled
+from labhil.plants.motion import BALL_SIZE, POSITION, VELOCITY, Mechanics, move
+from labhil.plants.sensor import Sensor
+from labhil.signals import FloatArray, IntArray
+
+SAMPLE_PERIOD = 0.01
+MOMENTS = 10
+"""Into how many moments a sample period is cut where the way in or the sensor has a memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """What happened at each sample; all arrays have shape (n,).
+
+    ``counts`` is what the converter gave and ``measured`` (m) what it stands for; ``position`` (m)
+    and ``velocity`` (m/s) are the truth.
+    """
+
+    t: FloatArray
+    counts: IntArray
+    measured: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+
+
+class BallBeamPlant:
+    """The world of one rig; it is made of the effects in ``terms`` and of nothing else.
+
+    ``parameters`` overrides defaults by name (SI); ``seed`` fixes the noise; ``period`` is the time
+    (s) between samples. Begins level, with the ball at rest at ``start_position``. Raises
+    UnknownNameError or UsageError for names and values that make no world.
+    """
+
+    def __init__(
+        self,
+        parameters: Mapping[str, float] | None = None,
+        terms: Iterable[str] = (),
+        seed: int = 0,
+        period: float = SAMPLE_PERIOD,
+    ) -> None:
+        self.terms = tuple(terms)
+        self.parameters = resolve(self.terms, parameters or {})
+        self.period = period
+        self.sensor = Sensor.of(self.parameters)
+        self._mechanics = Mechanics.of(self.parameters)
+        self._friction = Friction.of(self.parameters)
+        self._path = InputPath.of(self.parameters)
+        if self._path.delay > (HISTORY - 2) * period:
+            raise UsageError(f"time_delay.delay is too long for a sample period of {period:g} s")
+        remembers = self._path != NEUTRAL or self.sensor.lag > 0.0
+        self._moments = MOMENTS if remembers else 1
+        self._random = np.random.default_rng(seed)
+        self.place(self.parameters["start_position"])
+
+    def place(self, position: float, angle: float = 0.0) -> None:
+        """Put the ball at rest at ``position`` (m), all else settled at a servo angle of ``angle`` (rad)."""
+        self.angle = angle
+        self._ball = np.zeros(BALL_SIZE)
+        self._ball[POSITION] = position
+        self._memory = settled(angle, self._path)
+        self._lagged = np.array([position])
+        self._history = np.full(HISTORY, angle)
+        self._newest = 0
+
+    def step(self, angle: float) -> int:
+        """Let one sample period pass while the servo turns straight to ``angle`` (rad); return the count."""
+        self._walk(np.array([angle]))
+        return self.count()
+
+    def count(self) -> int:
+        """Sample the sensor now, once more; return the count."""
+        return int(self.sensor.counts(self._lagged, self._random.standard_normal(1))[0])
+
+    @property
+    def position(self) -> float:
+        """True position of the ball, m."""
+        return float(self._ball[POSITION])
+
+    @property
+    def velocity(self) -> float:
+        """True velocity of the ball, m/s."""
+        return float(self._ball[VELOCITY])
+
+    def simulate(self, angles: FloatArray) -> Trajectory:
+        """Go on through the angles (n,) in effect at the samples, rad; the first one is that of now.
+
+        A first angle that differs from the present one starts the way in afresh, settled there.
+        """
+        if angles[0] != self.angle:
+            self.angle = float(angles[0])
+            self._memory = settled(self.angle, self._path)
+            self._history[:] = self.angle
+        first = np.array([[self._ball[POSITION], self._ball[VELOCITY], self._lagged[0]]])
+        truth = np.concatenate([first, self._walk(np.asarray(angles[1:], dtype=np.float64))])
+        counts = self.sensor.counts(truth[:, 2], self._random.standard_normal(len(truth)))
+        return Trajectory(
+            t=self.period * np.arange(len(truth), dtype=np.float64),
+            counts=counts,
+            measured=self.sensor.position(counts),
+            position=truth[:, 0],
+            velocity=truth[:, 1],
+        )
+
+    def _walk(self, angles: FloatArray) -> FloatArray:
+        """Let one sample period pass per angle; return true position, velocity and lagged position (n, 3)."""
+        out = np.empty((len(angles), 3))
+        walk(
+            angles,
+            self._ball,
+            self._memory,
+            self._lagged,
+            self._history,
+            self._newest,
+            self._moments,
+            self.period,
+            self.sensor.lag,
+            self._mechanics,
+            self._friction,
+            self._path,
+            out,
+        )
+        self._newest += len(angles)
+        if len(angles):
+            self.angle = float(angles[-1])
+        return out
+
+
+@compiled
+def walk(
+    angles: FloatArray,
+    ball: FloatArray,
+    memory: FloatArray,
+    lagged: FloatArray,
+    history: FloatArray,
+    newest: int,
+    moments: int,
+    period: float,
+    sensor_lag: float,
+    m: Mechanics,
+    f: Friction,
+    p: InputPath,
+    out: FloatArray,
+) -> None:
+    """Advance the whole plant by one sample period per angle, in place; see ``BallBeamPlant._walk``.
+
+    ``history[i % HISTORY]`` is the servo angle at sample i, up to ``newest``; ``memory`` is the way
+    in's, its last entry the angle at the linkage; ``lagged`` (1,) is the sensor's.
+    """
+    h = period / moments
+    for i in range(angles.size):
+        newest += 1
+        history[newest % HISTORY] = angles[i]
+        for j in range(moments):
+            behind = p.delay / period + 1.0 - (j + 1) / moments
+            linkage = memory[-1]
+            before = ball[POSITION]
+            turned = follow(memory, delayed(history, newest, behind), h, p)
+            move(ball, linkage, turned, h, m, f)
+            lagged[0] = first_order(lagged[0], before, ball[POSITION], h, sensor_lag)
+        out[i, 0], out[i, 1], out[i, 2] = ball[POSITION], ball[VELOCITY], lagged[0]

@@ -1,0 +1,118 @@
+"""Friction of the simulated ball: an event-based law, and bristles for presliding.
+
+The event-based law has two modes. A ball that moves towards ``side`` (±1) feels the dry level for
+that side; a ball at rest (side 0) feels whatever keeps it there, up to the hold.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from labhil.compiled import compiled
+
+STATIC_VELOCITY = 1e-3
+"""Speed (m/s) over which bristles lose the extra hold at rest."""
+LEAST_LEVEL = 1e-9
+"""Dry level (N) under which bristles carry nothing."""
+
+
+class Friction(NamedTuple):
+    """Strengths of all friction effects (SI); zero where an effect is absent."""
+
+    viscous: float
+    quadratic: float
+    cubic: float
+    asymmetric: float
+    coulomb: float
+    stribeck: float
+    stribeck_velocity: float
+    static: float
+    asymmetric_level: float
+    slope: float
+    stiffness: float
+    damping: float
+
+    @classmethod
+    def of(cls, values: Mapping[str, float]) -> Friction:
+        """Pick them out of a plant's parameters."""
+        return cls(
+            viscous=values.get("viscous_friction.coefficient", 0.0),
+            quadratic=values.get("quadratic_viscous_friction.coefficient", 0.0),
+            cubic=values.get("cubic_viscous_friction.coefficient", 0.0),
+            asymmetric=values.get("friction_asymmetry.coefficient", 0.0),
+            coulomb=values.get("coulomb_friction.level", 0.0),
+            stribeck=values.get("stribeck_friction.level", 0.0),
+            stribeck_velocity=values.get("stribeck_friction.velocity", 1.0),
+            static=values.get("static_friction.level", 0.0),
+            asymmetric_level=values.get("friction_asymmetry.level", 0.0),
+            slope=values.get("position_dependent_friction.slope", 0.0),
+            stiffness=values.get("presliding_friction.stiffness", 0.0),
+            damping=values.get("presliding_friction.damping", 0.0),
+        )
+
+
+@compiled
+def side_of(v: float) -> float:
+    """Return +1 or −1 for a ball that moves with v (m/s), 0 for one at rest."""
+    if v == 0.0:
+        return 0.0
+    return 1.0 if v > 0.0 else -1.0
+
+
+@compiled
+def dry_level(x: float, speed: float, side: float, f: Friction) -> float:
+    """Return the dry friction (N) of a ball at x (m) that moves towards ``side``; never negative."""
+    level = f.coulomb + side * f.asymmetric_level + f.slope * x
+    if f.stribeck != 0.0:
+        level += f.stribeck * math.exp(-speed / f.stribeck_velocity)
+    return max(level, 0.0)
+
+
+@compiled
+def hold_level(x: float, side: float, f: Friction) -> float:
+    """Return the force (N) towards ``side`` that a ball at rest at x (m) just withstands."""
+    return dry_level(x, 0.0, side, f) + max(f.static, 0.0)
+
+
+@compiled
+def viscous_force(v: float, f: Friction) -> float:
+    """Return the resistance (N) at velocity v (m/s) that vanishes at rest."""
+    speed = abs(v)
+    return v * (f.viscous + speed * (f.quadratic + f.cubic * speed)) + f.asymmetric * speed
+
+
+@compiled
+def resistance(x: float, v: float, side: float, f: Friction) -> float:
+    """Return the whole friction (N) of a ball that moves towards ``side``."""
+    return side * dry_level(x, abs(v), side, f) + viscous_force(v, f)
+
+
+@compiled
+def bristle_level(x: float, v: float, f: Friction) -> float:
+    """Return the dry friction (N) that bristles bend up to at velocity v (m/s)."""
+    speed = abs(v)
+    return dry_level(x, speed, side_of(v), f) + f.static * math.exp(-speed / STATIC_VELOCITY)
+
+
+@compiled
+def relax_bristles(z: float, x: float, v: float, h: float, f: Friction) -> float:
+    """Return the bristles' deflection (m) after h (s) at constant v: ż = v − (σ₀|v|/g)·z, solved exactly."""
+    level = bristle_level(x, v, f)
+    if level < LEAST_LEVEL:
+        return 0.0
+    rate = f.stiffness * abs(v) / level
+    if rate * h < 1e-12:
+        return z + v * h
+    settled = v / rate
+    return settled + (z - settled) * math.exp(-rate * h)
+
+
+@compiled
+def bristle_force(z: float, x: float, v: float, f: Friction) -> float:
+    """Return the dry friction (N) of bristles bent by z (m): σ₀·z + σ₁·ż."""
+    level = bristle_level(x, v, f)
+    if level < LEAST_LEVEL:
+        return 0.0
+    return f.stiffness * z + f.damping * (v - f.stiffness * abs(v) / level * z)

@@ -1,0 +1,252 @@
+"""How the simulated ball rolls: forces, and an integrator that stops at every event.
+
+(M + J/R²)·ẍ = M·g·sin β + M·x·β̇² − (J/R)·β̈ − friction + other forces, sin β = ratio·sin γ.
+The linkage's angle γ moves along straight lines; where two of them meet, β̇ jumps and the ball's
+velocity with it, by −(J/R)/(M + J/R²)·Δβ̇. Events (coming to rest, breaking away, meeting a stop)
+are located by bisection on a step of the integrator.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from labhil.compiled import compiled
+from labhil.plants.friction import (
+    Friction,
+    bristle_force,
+    hold_level,
+    relax_bristles,
+    resistance,
+    side_of,
+    viscous_force,
+)
+from labhil.signals import FloatArray
+
+STANDARD_GRAVITY = 9.81
+LONGEST_STEP = 1e-3
+BRISTLE_STEP = 1e-4
+BISECTIONS = 45
+SLOWEST_BOUNCE = 5e-3
+"""Speed (m/s) below which a ball that meets a stop stays there."""
+
+POSITION, VELOCITY, SIDE, BRISTLE, TILT_RATE = range(5)
+BALL_SIZE = 5
+
+
+class Mechanics(NamedTuple):
+    """Masses, lengths and forces (SI). ``inertia`` is M + J/R² and what is added; ``rolling`` is J/R."""
+
+    mass: float
+    rolling: float
+    inertia: float
+    ratio: float
+    force: float
+    spring: float
+    stop: float
+    restitution: float
+
+    @classmethod
+    def of(cls, values: Mapping[str, float]) -> Mechanics:
+        """Pick them out of a plant's parameters."""
+        mass, radius = values["ball_mass"], values["ball_radius"]
+        ball_inertia = 0.4 * mass * radius**2
+        return cls(
+            mass=mass,
+            rolling=ball_inertia / radius,
+            inertia=mass + ball_inertia / radius**2 + values.get("added_inertia.mass", 0.0),
+            ratio=values["crank_radius"] / values["beam_length"],
+            force=values.get("constant_force.force", 0.0),
+            spring=values.get("spring_force.stiffness", 0.0),
+            stop=values["stop"],
+            restitution=values["restitution"],
+        )
+
+
+@compiled
+def tilt_rate(angle: float, turning: float, m: Mechanics) -> float:
+    """Return β̇ (rad/s) where the linkage stands at ``angle`` (rad) and turns with ``turning`` (rad/s)."""
+    sine = m.ratio * math.sin(angle)
+    return m.ratio * math.cos(angle) * turning / math.sqrt(1.0 - sine * sine)
+
+
+@compiled
+def push(x: float, angle: float, turning: float, m: Mechanics) -> float:
+    """Return the force (N) on the ball by all but friction; the tilting's own acceleration counts."""
+    sine = m.ratio * math.sin(angle)
+    cosine = math.sqrt(1.0 - sine * sine)
+    rate = m.ratio * math.cos(angle) * turning / cosine
+    growth = (rate * rate - turning * turning) * sine / cosine
+    by_tilt = m.mass * (STANDARD_GRAVITY * sine + x * rate * rate) - m.rolling * growth
+    return by_tilt + m.force - m.spring * x
+
+
+@compiled
+def roll(
+    x: float, v: float, side: float, angle: float, turning: float, h: float, m: Mechanics, f: Friction
+) -> tuple[float, float]:
+    """Return x and v of a ball that moves towards ``side``, h (s) later (classical Runge-Kutta)."""
+    half = 0.5 * h
+    middle, end = angle + half * turning, angle + h * turning
+    a1 = (push(x, angle, turning, m) - resistance(x, v, side, f)) / m.inertia
+    x2, v2 = x + half * v, v + half * a1
+    a2 = (push(x2, middle, turning, m) - resistance(x2, v2, side, f)) / m.inertia
+    x3, v3 = x + half * v2, v + half * a2
+    a3 = (push(x3, middle, turning, m) - resistance(x3, v3, side, f)) / m.inertia
+    x4, v4 = x + h * v3, v + h * a3
+    a4 = (push(x4, end, turning, m) - resistance(x4, v4, side, f)) / m.inertia
+    return x + h * (v + 2.0 * (v2 + v3) + v4) / 6.0, v + h * (a1 + 2.0 * (a2 + a3) + a4) / 6.0
+
+
+@compiled
+def stride(x: float, v: float, side: float, angle: float, turning: float, m: Mechanics, f: Friction) -> float:
+    """Return how long a step (s) may be: short against the time to cross the Stribeck velocity."""
+    if f.stribeck == 0.0:
+        return LONGEST_STEP
+    pull = abs(push(x, angle, turning, m) - resistance(x, v, side, f)) / m.inertia
+    return min(LONGEST_STEP, 0.2 * (f.stribeck_velocity + abs(v)) / (pull + 1e-9))
+
+
+@compiled
+def breaks_away(x: float, force: float, m: Mechanics, f: Friction) -> float:
+    """Return the side towards which ``force`` (N) moves a ball at rest, 0 when it holds; stops hold too."""
+    if force > hold_level(x, 1.0, f) and x < m.stop:
+        return 1.0
+    if -force > hold_level(x, -1.0, f) and x > -m.stop:
+        return -1.0
+    return 0.0
+
+
+@compiled
+def rest(x: float, angle: float, turning: float, h: float, m: Mechanics, f: Friction) -> tuple[float, float]:
+    """Return how long (s, at most h) a ball at rest stays, and to which side it then leaves (0: none)."""
+    at_once = breaks_away(x, push(x, angle, turning, m), m, f)
+    if at_once != 0.0:
+        return 0.0, at_once
+    side = breaks_away(x, push(x, angle + h * turning, turning, m), m, f)
+    if side == 0.0:
+        return h, 0.0
+    low, high = 0.0, h
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        if breaks_away(x, push(x, angle + middle * turning, turning, m), m, f) != 0.0:
+            high = middle
+        else:
+            low = middle
+    return high, side
+
+
+@compiled
+def time_to_event(
+    x: float,
+    v: float,
+    side: float,
+    angle: float,
+    turning: float,
+    h: float,
+    at_stop: bool,
+    m: Mechanics,
+    f: Friction,
+) -> float:
+    """Return when within h (s) the ball comes to rest, or with ``at_stop`` when it meets the stop ahead."""
+    low, high = 0.0, h
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        there, speed = roll(x, v, side, angle, turning, middle, m, f)
+        passed = there * side > m.stop if at_stop else speed * side < 0.0
+        if passed:
+            high = middle
+        else:
+            low = middle
+    return 0.5 * (low + high)
+
+
+@compiled
+def bounce(v: float, m: Mechanics) -> float:
+    """Return the velocity (m/s) after meeting a stop with v."""
+    return -m.restitution * v if m.restitution * abs(v) > SLOWEST_BOUNCE else 0.0
+
+
+@compiled
+def roll_to_event(
+    ball: FloatArray, angle: float, turning: float, h: float, m: Mechanics, f: Friction
+) -> float:
+    """Move a rolling ball on by at most h (s), up to its next event; return how long that took."""
+    x, v, side = ball[POSITION], ball[VELOCITY], ball[SIDE]
+    there, speed = roll(x, v, side, angle, turning, h, m, f)
+    if speed * side <= 0.0:
+        if v == 0.0:
+            # broken away by less than rounding: it rests for this step
+            ball[SIDE] = 0.0
+            return h
+        taken = time_to_event(x, v, side, angle, turning, h, False, m, f)
+        there, _ = roll(x, v, side, angle, turning, taken, m, f)
+        if there * side <= m.stop:
+            ball[POSITION], ball[VELOCITY], ball[SIDE] = there, 0.0, 0.0
+            return taken
+    if there * side > m.stop:
+        taken = time_to_event(x, v, side, angle, turning, h, True, m, f)
+        _, speed = roll(x, v, side, angle, turning, taken, m, f)
+        ball[POSITION], ball[VELOCITY] = side * m.stop, bounce(speed, m)
+        ball[SIDE] = side_of(ball[VELOCITY])
+        return taken
+    ball[POSITION], ball[VELOCITY] = there, speed
+    return h
+
+
+@compiled
+def move_by_events(
+    ball: FloatArray, angle: float, turning: float, h: float, m: Mechanics, f: Friction
+) -> None:
+    """Move the ball over one straight line of the linkage, through all its stops and starts."""
+    t = 0.0
+    while t < h:
+        now = angle + t * turning
+        left = min(h - t, LONGEST_STEP)
+        if ball[SIDE] == 0.0:
+            waited, side = rest(ball[POSITION], now, turning, left, m, f)
+            ball[SIDE] = side
+            t += waited
+        else:
+            left = min(left, stride(ball[POSITION], ball[VELOCITY], ball[SIDE], now, turning, m, f))
+            t += roll_to_event(ball, now, turning, left, m, f)
+
+
+@compiled
+def move_on_bristles(
+    ball: FloatArray, angle: float, turning: float, h: float, m: Mechanics, f: Friction
+) -> None:
+    """Move the ball over one straight line of the linkage, its dry friction carried by bristles."""
+    steps = math.ceil(h / BRISTLE_STEP)
+    d = h / steps
+    x, v, z = ball[POSITION], ball[VELOCITY], ball[BRISTLE]
+    for i in range(steps):
+        middle = angle + (i + 0.5) * d * turning
+        z = relax_bristles(z, x, v, 0.5 * d, f)
+        a = (push(x, middle, turning, m) - bristle_force(z, x, v, f) - viscous_force(v, f)) / m.inertia
+        x_half, v_half = x + 0.5 * d * v, v + 0.5 * d * a
+        drag = bristle_force(z, x_half, v_half, f) + viscous_force(v_half, f)
+        a = (push(x_half, middle, turning, m) - drag) / m.inertia
+        x, v = x + d * (v + 0.5 * d * a), v + d * a
+        z = relax_bristles(z, x, v, 0.5 * d, f)
+        if abs(x) > m.stop and x * v > 0.0:
+            x, v = side_of(x) * m.stop, bounce(v, m)
+    ball[POSITION], ball[VELOCITY], ball[BRISTLE], ball[SIDE] = x, v, z, side_of(v)
+
+
+@compiled
+def move(ball: FloatArray, before: float, after: float, h: float, m: Mechanics, f: Friction) -> None:
+    """Move the ball while the linkage turns straight from ``before`` to ``after`` (rad) within h (s)."""
+    turning = (after - before) / h
+    kick = m.rolling / m.inertia * (tilt_rate(before, turning, m) - ball[TILT_RATE])
+    if kick != 0.0:
+        ball[VELOCITY] -= kick
+        if abs(ball[POSITION]) >= m.stop and ball[POSITION] * ball[VELOCITY] > 0.0:
+            ball[VELOCITY] = 0.0
+        ball[SIDE] = side_of(ball[VELOCITY])
+    if f.stiffness > 0.0:
+        move_on_bristles(ball, before, turning, h, m, f)
+    else:
+        move_by_events(ball, before, turning, h, m, f)
+    ball[TILT_RATE] = tilt_rate(after, turning, m)
