@@ -316,7 +316,9 @@ def _text(raw: bytes) -> str:
 
 def _shortest(value: float) -> float:
     """Undo the digits that a 32-bit float grows when it is widened: 0.1 stays 0.1."""
-    return float(f"{value:.7g}")
+    wire = struct.pack("<f", value)
+    shorter = (float(f"{value:.{digits}g}") for digits in range(6, 9))
+    return next((number for number in shorter if struct.pack("<f", number) == wire), value)
 
 
 def _wrong_length(what: str, expected: str, payload: bytes) -> ProtocolError:

@@ -1,0 +1,102 @@
+"""A serial port of any kind that pyserial knows: a device path, ``socket://``, ``rfc2217://``, …"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import select
+import socket
+
+import serial
+from serial.tools import list_ports
+
+from labhil.errors import ConnectError
+
+BAUD_RATE = 115200
+WRITE_TIMEOUT = 1.0
+CHUNK = 4096
+
+
+class Port:
+    """An open port, for us alone. ConnectError when it cannot be opened, and when it goes away."""
+
+    def __init__(self, address: str) -> None:
+        self.address = address
+        self._serial = _open(address)
+        self._fd = _descriptor(self._serial)
+        # pyserial closes a socket only while the other end is still there; see close()
+        self._socket: socket.socket | None = getattr(self._serial, "_socket", None)
+        if self._socket is not None:
+            # a command must not wait for the acknowledgement of the one before
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def receive(self, timeout: float) -> bytes:
+        """Return what has come in, waiting up to ``timeout`` s for the first byte."""
+        try:
+            if self._fd is not None:
+                select.select([self._fd], [], [], timeout)
+                return bytes(self._serial.read(CHUNK))
+            self._serial.timeout = timeout
+            first = bytes(self._serial.read(1))
+            self._serial.timeout = 0
+            return first + bytes(self._serial.read(CHUNK)) if first else b""
+        except (OSError, serial.SerialException) as error:
+            raise ConnectError(f"{self.address}: the wire is gone: {error}") from error
+
+    def send(self, data: bytes) -> None:
+        """Send bytes, waiting at most a second for the line."""
+        try:
+            self._serial.write(data)
+        except (OSError, serial.SerialException) as error:
+            raise ConnectError(f"{self.address}: nothing can be sent: {error}") from error
+
+    def close(self) -> None:
+        """Close the port, whatever state it is in."""
+        with contextlib.suppress(OSError, serial.SerialException):
+            self._serial.close()
+        if self._socket is not None:
+            self._socket.close()
+
+
+def _open(address: str) -> serial.SerialBase:
+    try:
+        port = serial.serial_for_url(
+            address,
+            do_not_open=True,
+            baudrate=BAUD_RATE,
+            timeout=0,
+            write_timeout=WRITE_TIMEOUT,
+            exclusive=True,
+        )
+        port.open()
+    except (OSError, serial.SerialException, ValueError) as error:
+        raise ConnectError(
+            f"{address}: cannot be opened: {_reason(error, address)}; {_ports_here()}"
+        ) from error
+    return port
+
+
+def _reason(error: Exception, address: str) -> str:
+    """What the system said, without what pyserial puts around it."""
+    number = getattr(error, "errno", None)
+    if number is None and isinstance(error.__context__, OSError):
+        number = error.__context__.errno
+    if number is None:
+        return str(error)
+    if "lock" in str(error):
+        return "another program has it open"
+    return os.strerror(number).lower() + ("" if "://" in address else f" (error {number})")
+
+
+def _ports_here() -> str:
+    names = sorted(port.device for port in list_ports.comports())
+    return f"serial ports here: {', '.join(names)}" if names else "this machine has no serial port"
+
+
+def _descriptor(port: serial.SerialBase) -> int | None:
+    """The file descriptor to wait on; some of pyserial's ports have none."""
+    try:
+        return int(port.fileno())
+    except (AttributeError, io.UnsupportedOperation):
+        return None
