@@ -1,0 +1,98 @@
+"""Questions and answers over the bus: JSON both ways, and errors that reach the one who asked."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Mapping
+from types import TracebackType
+from typing import Any, Self
+
+import zenoh
+
+from labhil.bus.session import Bus
+from labhil.errors import BusError, CommandRefusedError
+
+Handler = Callable[[dict[str, Any]], Mapping[str, Any]]
+"""Receives what was asked and returns the answer; what it raises goes back as an error."""
+
+
+class Answering:
+    """A key whose questions are answered, one after another, by a thread of its own."""
+
+    def __init__(self, bus: Bus, key: str, handler: Handler) -> None:
+        self._key = key
+        self._handler = handler
+        self._queryable = bus.session.declare_queryable(key, zenoh.handlers.FifoChannel(256), complete=True)
+        self._queries = self._queryable.handler
+        self._thread = threading.Thread(target=self._run, name=f"serve {key}")
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop answering; safe to call twice, but not from the handler."""
+        if self._thread.is_alive():
+            self._queryable.undeclare()
+            self._thread.join()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _run(self) -> None:
+        while True:
+            try:
+                query = self._queries.recv()
+            except zenoh.ZError:
+                return  # undeclared
+            with query:
+                self._answer(query)
+
+    def _answer(self, query: zenoh.Query) -> None:
+        try:
+            payload = query.payload.to_bytes() if query.payload is not None else b"{}"
+            answer = json.dumps(dict(self._handler(json.loads(payload))))
+        except Exception as error:  # noqa: BLE001 - a handler that raises must not leave the caller waiting
+            query.reply_err(json.dumps({"error": type(error).__name__, "message": str(error)}))
+        else:
+            query.reply(self._key, answer)
+
+
+def serve(bus: Bus, key: str, handler: Handler) -> Answering:
+    """Answer questions at ``key`` with ``handler`` until the result is closed."""
+    return Answering(bus, key, handler)
+
+
+def ask(bus: Bus, key: str, payload: Mapping[str, Any] | None = None, timeout: float = 2.0) -> dict[str, Any]:
+    """Ask at ``key`` and return the answer, waiting up to ``timeout`` s.
+
+    CommandRefusedError when it was refused; BusError when nobody answers or the answer is an error.
+    """
+    question = json.dumps(dict(payload or {}))
+    try:
+        replies = bus.session.get(
+            key, payload=question, timeout=timeout, target=zenoh.QueryTarget.BEST_MATCHING
+        )
+        for reply in replies:
+            if reply.ok is not None:
+                return dict(json.loads(reply.ok.payload.to_bytes()))
+            if reply.err is not None:
+                _raise(key, reply.err.payload.to_bytes(), timeout)
+    except zenoh.ZError as error:
+        raise BusError(f"{key}: could not be asked: {error}") from error
+    raise BusError(f"{key}: nobody answers there (asked for {timeout:g} s)")
+
+
+def _raise(key: str, payload: bytes, timeout: float) -> None:
+    try:
+        found: dict[str, str] = json.loads(payload)
+        kind, message = found["error"], found["message"]
+    except (ValueError, KeyError, TypeError):
+        text = payload.decode("utf-8", "replace")
+        raise BusError(f"{key}: no answer within {timeout:g} s ({text})") from None
+    if kind == CommandRefusedError.__name__:
+        raise CommandRefusedError(message)
+    raise BusError(f"{key}: {kind}: {message}")

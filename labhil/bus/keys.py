@@ -1,0 +1,51 @@
+"""The keys of the bus, all in one place.
+
+A chunk that begins with ``@`` is not matched by wildcards, so ``lab/*/*`` sees data and events only.
+"""
+
+from __future__ import annotations
+
+ALL_STREAMS = "lab/*/*"
+"""What a recorder subscribes: every stream and every event of every device."""
+
+ALL_LIVE = "lab/*/@live"
+"""The liveliness tokens of all devices."""
+
+EVENT = "event"
+SETPOINT = "setpoint"
+
+
+def stream_key(device: str, stream: str) -> str:
+    """Where the samples of a stream are published, one message each."""
+    return f"lab/{device}/{stream}"
+
+
+def schema_key(device: str, stream: str) -> str:
+    """Where the declaration of a stream is asked for."""
+    return f"lab/{device}/@schema/{stream}"
+
+
+def live_key(device: str) -> str:
+    """The token that stands as long as the device's host lives."""
+    return f"lab/{device}/@live"
+
+
+def command_key(device: str, name: str) -> str:
+    """Where the command ``name`` is asked for (a query that is answered)."""
+    return f"lab/{device}/cmd/{name}"
+
+
+def setpoint_key(device: str) -> str:
+    """Where setpoints are streamed to (a put that is not answered)."""
+    return f"lab/{device}/{SETPOINT}"
+
+
+def event_key(device: str) -> str:
+    """Where a device's events are published, as JSON."""
+    return f"lab/{device}/{EVENT}"
+
+
+def split_key(key: str) -> tuple[str, str]:
+    """Return device and stream of a key that ``ALL_STREAMS`` matched."""
+    _, device, stream = key.split("/")
+    return device, stream

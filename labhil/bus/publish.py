@@ -1,0 +1,130 @@
+"""Publishing a stream without ever holding up the thread that reads the device."""
+
+from __future__ import annotations
+
+import base64
+import json
+import queue
+import threading
+import time
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Any, Self
+
+import zenoh
+
+from labhil.bus.ask import serve
+from labhil.bus.keys import event_key, schema_key, stream_key
+from labhil.bus.session import Bus
+from labhil.codec import Codec, stream_to_json
+from labhil.errors import BusError
+from labhil.signals import Batch, Stream
+
+FIRST_LISTENER = 1.0
+"""Seconds that the first samples wait in the queue for somebody to listen."""
+
+
+class StreamPublisher:
+    """Publishes the samples of one stream, and answers what the stream is.
+
+    ``put`` hands a batch to a thread by a bounded queue and returns at once. When the bus cannot take
+    more, samples are dropped there and counted in ``overflows`` (number of samples); readers see the
+    hole in ``seq``. ``metadata`` (serial number, firmware, speed) ends up in the recording.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        device: str,
+        stream: Stream,
+        metadata: Mapping[str, str] | None = None,
+        *,
+        depth: int = 4096,
+    ) -> None:
+        self.codec = Codec(stream)
+        self.overflows = 0
+        self.error: BusError | None = None
+        self._queue: queue.Queue[list[bytes] | None] = queue.Queue(depth)
+        self._closing = threading.Event()
+        key = stream_key(device, stream.name)
+        self._publisher = bus.session.declare_publisher(
+            key, congestion_control=zenoh.CongestionControl.BLOCK, priority=zenoh.Priority.DATA
+        )
+        reply = schema_reply(self.codec, metadata or {})
+        self._schema = serve(bus, schema_key(device, stream.name), lambda _: reply)
+        self._thread = threading.Thread(target=self._run, name=f"publish {key}")
+        self._thread.start()
+
+    def put(self, batch: Batch) -> None:
+        """Publish a batch; never blocks."""
+        if len(batch) == 0:
+            return
+        try:
+            self._queue.put_nowait(self.codec.encode(batch))
+        except queue.Full:
+            self.overflows += len(batch)
+
+    def close(self) -> None:
+        """Publish what is still queued, then let go of the key; safe to call twice."""
+        if self._closing.is_set():
+            return
+        self._closing.set()
+        self._queue.put(None)
+        self._thread.join()
+        self._schema.close()
+        self._publisher.undeclare()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _run(self) -> None:
+        self._wait_for_a_listener()
+        while (payloads := self._queue.get()) is not None:
+            if self.error is not None:
+                self.overflows += len(payloads)
+                continue
+            try:
+                for payload in payloads:
+                    self._publisher.put(payload)
+            except zenoh.ZError as error:
+                self.error = BusError(f"{self._publisher.key_expr}: samples could not be published: {error}")
+                self.overflows += len(payloads)
+
+    def _wait_for_a_listener(self) -> None:
+        """A subscriber elsewhere is known only some milliseconds after the session was opened."""
+        deadline = time.monotonic() + FIRST_LISTENER
+        while time.monotonic() < deadline:
+            status: Any = self._publisher.matching_status  # zenoh's stubs call it a bool
+            if status.matching:
+                return
+            time.sleep(0.002)
+
+
+def schema_reply(codec: Codec, metadata: Mapping[str, str]) -> dict[str, Any]:
+    """What is answered to the question for a stream's declaration."""
+    return {
+        "stream": stream_to_json(codec.stream),
+        "schema_name": codec.schema_name,
+        "descriptor": base64.b64encode(codec.descriptor_set()).decode("ascii"),
+        "metadata": dict(metadata),
+    }
+
+
+def publish_event(bus: Bus, device: str, event: str | Mapping[str, Any]) -> None:
+    """Publish something that happened; a plain text becomes ``{"text": …}``.
+
+    The host's time is added as ``t_ns`` (Unix time) unless it is there already. BusError when the
+    session is closed.
+    """
+    body: dict[str, Any] = {"text": event} if isinstance(event, str) else dict(event)
+    body.setdefault("t_ns", time.time_ns())
+    key = event_key(device)
+    try:
+        bus.session.put(key, json.dumps(body), congestion_control=zenoh.CongestionControl.BLOCK)
+    except zenoh.ZError as error:
+        raise BusError(f"{key}: the event could not be published: {error}") from error

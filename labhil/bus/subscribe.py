@@ -1,0 +1,78 @@
+"""Subscribing without losing: one thread that drains a channel as fast as it can."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from types import TracebackType
+from typing import Self
+
+import zenoh
+
+from labhil.bus.session import Bus
+
+CHANNEL_DEPTH = 65536
+
+OnSamples = Callable[[str, list[bytes]], None]
+"""Receives a key and the payloads that came in under it, oldest first."""
+
+
+class Subscription:
+    """A subscription with its thread; ``close`` delivers what has already come in, and ends both.
+
+    ``error`` holds what the callback raised, if it did; the subscription has then stopped delivering
+    (it goes on draining, so that publishers are not held up).
+    """
+
+    def __init__(self, bus: Bus, key: str, on_samples: OnSamples) -> None:
+        self.error: Exception | None = None
+        self._on_samples = on_samples
+        self._subscriber = bus.session.declare_subscriber(key, zenoh.handlers.FifoChannel(CHANNEL_DEPTH))
+        # undeclaring is refused while a thread waits in the subscriber itself, not in its handler
+        self._handler = self._subscriber.handler
+        self._thread = threading.Thread(target=self._run, name=f"subscribe {key}")
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the subscription; safe to call twice, but not from the callback."""
+        if self._thread.is_alive():
+            self._subscriber.undeclare()
+            self._thread.join()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _run(self) -> None:
+        while True:
+            try:
+                sample: zenoh.Sample | None = self._handler.recv()
+            except zenoh.ZError:
+                return  # undeclared, and nothing left
+            arrived: dict[str, list[bytes]] = {}
+            while sample is not None:
+                # a waiting sample pins kilobytes until its bytes are copied out
+                arrived.setdefault(str(sample.key_expr), []).append(sample.payload.to_bytes())
+                try:
+                    sample = self._handler.try_recv()
+                except zenoh.ZError:
+                    break
+            self._deliver(arrived)
+
+    def _deliver(self, arrived: dict[str, list[bytes]]) -> None:
+        for key, payloads in arrived.items():
+            if self.error is not None:
+                return
+            try:
+                self._on_samples(key, payloads)
+            except Exception as error:  # noqa: BLE001 - kept for whoever owns the subscription
+                self.error = error
+
+
+def subscribe(bus: Bus, key: str, on_samples: OnSamples) -> Subscription:
+    """Call ``on_samples`` in a thread of its own with everything published under ``key``."""
+    return Subscription(bus, key, on_samples)
