@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
+import time
 from collections.abc import Callable, Mapping
 from types import TracebackType
 from typing import Any, Self
@@ -72,6 +73,17 @@ def ask(bus: Bus, key: str, payload: Mapping[str, Any] | None = None, timeout: f
     CommandRefusedError when it was refused; BusError when nobody answers or the answer is an error.
     """
     question = json.dumps(dict(payload or {}))
+    answer = _ask_once(bus, key, question, timeout)
+    while answer is None and bus.settling:
+        time.sleep(0.02)
+        answer = _ask_once(bus, key, question, timeout)
+    if answer is None:
+        raise BusError(f"{key}: nobody answers there")
+    return answer
+
+
+def _ask_once(bus: Bus, key: str, question: str, timeout: float) -> dict[str, Any] | None:
+    """Return the answer, or None when no peer that is known answers at ``key``."""
     try:
         replies = bus.session.get(
             key, payload=question, timeout=timeout, target=zenoh.QueryTarget.BEST_MATCHING
@@ -83,7 +95,7 @@ def ask(bus: Bus, key: str, payload: Mapping[str, Any] | None = None, timeout: f
                 _raise(key, reply.err.payload.to_bytes(), timeout)
     except zenoh.ZError as error:
         raise BusError(f"{key}: could not be asked: {error}") from error
-    raise BusError(f"{key}: nobody answers there (asked for {timeout:g} s)")
+    return None
 
 
 def _raise(key: str, payload: bytes, timeout: float) -> None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import socket
-from dataclasses import dataclass
+import time
+from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Self
 
@@ -15,6 +16,8 @@ from labhil.errors import BusError
 CONNECT_TIMEOUT_MS = 5000
 BLOCKED_LINK_CLOSES_AFTER_US = 60_000_000  # a reader that stalls for less loses nothing
 ATTEMPTS = 5
+ACQUAINTANCE = 1.0
+"""Seconds after which the peers that gossip tells of are known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +26,12 @@ class Bus:
 
     session: zenoh.Session
     endpoint: str
+    opened: float = field(default_factory=time.monotonic)
+
+    @property
+    def settling(self) -> bool:
+        """Whether the bus was joined so recently that not every peer may be known yet."""
+        return time.monotonic() < self.opened + ACQUAINTANCE
 
     def close(self) -> None:
         """Leave the bus; safe to call twice."""
