@@ -58,7 +58,7 @@ class BallBeamDriver:
         self._writing = threading.RLock()
 
     def connect(self) -> DeviceInfo:
-        """Open the port, wait for HELLO, send the configuration; see :class:`labhil.driver.Driver`.
+        """Open the port, wait for HELLO, send the configuration; the device is in its safe state then.
 
         ConnectError when the port is not there or silent; ProtocolError when what comes from it is
         not the protocol, or another device.
@@ -92,7 +92,7 @@ class BallBeamDriver:
     def _check(self, hello: Hello) -> None:
         if hello.device != self.spec.name:
             raise ProtocolError(
-                f"{self.address}: expected the device 'ball_beam', found {hello.device!r}: is it the right port?"
+                f"{self.address}: expected the device 'ball_beam', found {hello.device!r}: wrong port?"
             )
         if len(hello.channels) != len(self.spec.stream.signals):
             raise ProtocolError(

@@ -68,14 +68,24 @@ def ask_hello(port: Port, decoder: Decoder, sender: Sender) -> Hello:
 
 
 def configure(port: Port, decoder: Decoder, sender: Sender, command_timeout: float) -> None:
-    """Send the configuration until a sample says that it has arrived; ProtocolError when none does."""
+    """Send the configuration, and SAFE, until a sample says that both have arrived.
+
+    A device that was not reset by the opening of its port may still carry out what somebody else
+    commanded. ProtocolError when no sample says so.
+    """
     payload = Config(round(command_timeout * 1000)).pack()
-    for data in _asking(port, lambda: sender.send(MessageType.CONFIG, payload), CONFIGURED_WITHIN):
+    wanted = StateFlag.CONFIGURED | StateFlag.SAFE
+
+    def ask() -> None:
+        sender.send(MessageType.SAFE)
+        sender.send(MessageType.CONFIG, payload)
+
+    for data in _asking(port, ask, CONFIGURED_WITHIN):
         for frame in decoder.feed(data):
-            if frame.type == MessageType.STATE and State.unpack(frame.payload).flags & StateFlag.CONFIGURED:
+            if frame.type == MessageType.STATE and State.unpack(frame.payload).flags & wanted == wanted:
                 return
     raise ProtocolError(
-        f"{port.address}: expected samples that acknowledge the configuration within"
+        f"{port.address}: expected samples that acknowledge the configuration and the safe state within"
         f" {CONFIGURED_WITHIN:g} s of HELLO, found none"
     )
 

@@ -17,8 +17,9 @@ class BallBeamTwin:
     """A ball and beam that is not there; satisfies :class:`labhil.driver.Twin`.
 
     Each time a client opens the wire the device boots, as an Arduino does, and a hand holds the ball
-    still at ``start_position`` until the first SET. Without a client the world stands still. The
-    watchdog's 0.3 s are the host's, whatever the speed.
+    still at ``start_position`` until the first SET. (A pty that is closed and opened again within
+    20 ms goes unnoticed.) Without a client the world stands still. The watchdog's 0.3 s are the
+    host's, whatever the speed.
     """
 
     name = "ball_beam"
