@@ -1,0 +1,108 @@
+"""Host processes, seen from the process that starts them."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from labhil import errors
+from labhil.errors import BusError, LabhilError, RunStoppedError
+from labhil.service.child import Child
+from labhil.service.messages import HostConfig
+from labhil.signals import Signal, Stream
+
+CONNECT_TIMEOUT = 30.0
+"""How long a host may take to connect to its device or say why it cannot, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class ConnectedDevice:
+    """What a host said when its device was there."""
+
+    stream: Stream
+    safe: Mapping[str, float]
+    speed: float
+    firmware: str
+    serial: str
+
+
+class HostProcess:
+    """One device's host: started at once, connected by :meth:`wait_connected`, ended by :meth:`stop`."""
+
+    def __init__(self, config: HostConfig) -> None:
+        self.config = config
+        self._child = Child(
+            f"the host of {config.device!r}", [sys.executable, "-P", "-m", "labhil.service.host"]
+        )
+        self._child.send(config.to_line())
+
+    @property
+    def pid(self) -> int:
+        """The process id."""
+        return self._child.pid
+
+    def wait_connected(self, interrupted: Callable[[], bool] = lambda: False) -> ConnectedDevice:
+        """Wait for the device; raises what the driver raised, or RunStoppedError when ``interrupted``."""
+        line = self._child.line(CONNECT_TIMEOUT, interrupted)
+        if line is None and interrupted():
+            raise RunStoppedError("stopped while the devices were being connected")
+        said = _parsed(line)
+        if "ready" not in said:
+            raise self._how_it_ended(said)
+        ready = said["ready"]
+        stream = ready["stream"]
+        signals = tuple(Signal.from_json(item) for item in stream["signals"])
+        return ConnectedDevice(
+            Stream(stream["name"], signals, stream["rate"]),
+            ready["safe"],
+            ready["speed"],
+            ready["firmware"],
+            ready["serial"],
+        )
+
+    def failure(self) -> LabhilError | None:
+        """Return why the host ended, when it has although nobody told it to; None while it runs."""
+        if self._child.exit_status() is None:
+            return None
+        return self._how_it_ended(_parsed(self._child.line(1.0)))
+
+    def _how_it_ended(self, said: Mapping[str, Any]) -> LabhilError:
+        ended = said.get("ended")
+        if ended is not None and ended["error"] is not None:
+            return error_named(ended["error"], f"{self.config.device}: {ended['reason']}")
+        if ended is not None:
+            return BusError(f"{self._child.name} ended: {ended['reason']}")
+        status = self._child.exit_status()
+        how = f" ({signal.Signals(-status).name})" if status is not None and status < 0 else ""
+        return BusError(f"{self._child.name} died{how}{self._child.complaint()}")
+
+    def tell_to_end(self) -> None:
+        """Let the host bring its device to safety and end, without waiting for it."""
+        self._child.close_input()
+
+    def stop(self) -> None:
+        """End the host and wait until it is gone. Safe twice."""
+        self._child.stop()
+
+
+def error_named(name: str, message: str) -> LabhilError:
+    """Return the error of our tree that bears ``name``; BusError when there is none that says a message."""
+    kind = getattr(errors, name, None)
+    if isinstance(kind, type) and issubclass(kind, LabhilError):
+        try:
+            return kind(message)
+        except TypeError:  # those that build their own message take more than one argument
+            return errors.UsageError(message)
+    return BusError(message)
+
+
+def _parsed(line: str | None) -> dict[str, Any]:
+    try:
+        data = json.loads(line or "{}")
+    except ValueError:
+        return {}
+    return data if isinstance(data, dict) else {}

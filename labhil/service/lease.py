@@ -1,0 +1,45 @@
+"""Who may command a device: one holder at a time, and only for as long as it says so."""
+
+from __future__ import annotations
+
+import secrets
+
+from labhil.errors import CommandRefusedError
+
+DURATION = 2.0
+"""How long a lease lasts after its holder was last heard of, s."""
+
+
+class Lease:
+    """A lease on one device. Times are s on the host's monotonic clock."""
+
+    def __init__(self) -> None:
+        self.holder: str | None = None
+        self._token = ""
+        self._expires = 0.0
+
+    def take(self, holder: str, now: float) -> str:
+        """Give the lease to ``holder`` and return its token; CommandRefusedError while another holds it."""
+        if self.is_held(now):
+            left = self._expires - now
+            raise CommandRefusedError(
+                f"the device is held by {self.holder!r} for another {left:.1f} s at most"
+            )
+        self.holder, self._token, self._expires = holder, secrets.token_hex(8), now + DURATION
+        return self._token
+
+    def is_held(self, now: float) -> bool:
+        """Whether somebody holds the lease."""
+        return self.holder is not None and now < self._expires
+
+    def renew(self, token: str, now: float) -> None:
+        """Extend the lease; CommandRefusedError when ``token`` is not the holder's, or it has run out."""
+        if not self.is_held(now):
+            raise CommandRefusedError("nobody holds the lease: it was never taken, ran out, or was revoked")
+        if not secrets.compare_digest(token.encode(), self._token.encode()):
+            raise CommandRefusedError(f"the lease is held by {self.holder!r}; this is not its token")
+        self._expires = now + DURATION
+
+    def revoke(self) -> None:
+        """End the lease, whoever holds it."""
+        self.holder, self._token, self._expires = None, "", 0.0

@@ -1,0 +1,112 @@
+"""What a host is told, and what it says: plain data, JSON on the way."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+from labhil.errors import CommandRefusedError
+from labhil.rig import Limit
+
+WATCHDOG = 0.25
+"""How long commands may stop, s of the host's clock, before a host brings its device to safety."""
+
+
+class HostState(StrEnum):
+    """What a host is doing."""
+
+    CONNECTING = "connecting"
+    IDLE = "idle"
+    """Samples come in; the device is in its safe state."""
+    ACTIVE = "active"
+    """Somebody with the lease commands the device."""
+    TRIPPED = "tripped"
+    """A sample left its limits; the device is in its safe state until the lease is taken anew."""
+    FAILED = "failed"
+    """The device or the wire to it failed."""
+    STOPPED = "stopped"
+    """Told to end, or left by its parent."""
+
+
+@dataclass(frozen=True, slots=True)
+class HostConfig:
+    """What a host needs to know; one line of JSON on its standard input.
+
+    ``connect`` is the endpoint of a bus session to join; ``watchdog`` is in s of the host's clock.
+    """
+
+    device: str
+    plugin: str
+    address: str
+    limits: Mapping[str, Limit] = field(default_factory=dict)
+    connect: str | None = None
+    watchdog: float = WATCHDOG
+
+    def to_line(self) -> str:
+        """Return the configuration as one line."""
+        limits = {name: limit.model_dump() for name, limit in self.limits.items()}
+        data = {
+            "device": self.device,
+            "plugin": self.plugin,
+            "address": self.address,
+            "limits": limits,
+            "connect": self.connect,
+            "watchdog": self.watchdog,
+        }
+        return json.dumps(data) + "\n"
+
+    @classmethod
+    def from_line(cls, line: str) -> HostConfig:
+        """Read what :meth:`to_line` wrote; ValueError when that is not what it is."""
+        data = json.loads(line)
+        limits = {name: Limit.model_validate(limit) for name, limit in data["limits"].items()}
+        return cls(
+            str(data["device"]),
+            str(data["plugin"]),
+            str(data["address"]),
+            limits,
+            data["connect"],
+            float(data["watchdog"]),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Setpoint:
+    """Values for some of a device's commands, from the holder of ``token``, sent at Unix time ``t_ns``."""
+
+    token: str
+    t_ns: int
+    values: Mapping[str, float]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the setpoint as plain data: what the command ``set`` takes."""
+        return {"token": self.token, "t_ns": self.t_ns, "values": dict(self.values)}
+
+    def to_bytes(self) -> bytes:
+        """Return the setpoint as it is streamed."""
+        return json.dumps(self.to_json()).encode()
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Setpoint:
+        """Read plain data; CommandRefusedError when something is missing or is not what it should be."""
+        try:
+            values = {str(name): float(value) for name, value in data["values"].items()}
+            return cls(str(data["token"]), int(data["t_ns"]), values)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise CommandRefusedError(
+                f'a setpoint is {{"token", "t_ns", "values": {{name: number}}}}; {error!r} in {data!r}'
+            ) from error
+
+    @classmethod
+    def from_bytes(cls, payload: bytes) -> Setpoint:
+        """Read what :meth:`to_bytes` wrote; CommandRefusedError when that is not what it is."""
+        try:
+            data = json.loads(payload)
+        except ValueError as error:
+            raise CommandRefusedError(f"a setpoint is JSON, found {payload[:40]!r}") from error
+        if not isinstance(data, dict):
+            raise CommandRefusedError(f"a setpoint is a JSON object, found {payload[:40]!r}")
+        return cls.from_json(data)

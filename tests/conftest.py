@@ -1,0 +1,55 @@
+"""What every test has to leave behind: nothing that runs, nothing that listens."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+
+import psutil
+import pytest
+
+PATIENCE = 5.0
+# kept by the standard library for the life of the process, once a process pool was used
+KEPT_PROCESSES = ("resource_tracker", "forkserver")
+
+
+@pytest.fixture(autouse=True)
+def nothing_left_running() -> Iterator[None]:
+    """Fail a test that leaves a thread, a child process or a listening port (a bus session has one)."""
+    before = running()
+    yield
+    deadline = time.monotonic() + PATIENCE
+    while (left := running() - before) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    if left:
+        pytest.fail(f"left behind: {', '.join(sorted(left))}")
+
+
+def running() -> set[str]:
+    """Describe the threads, child processes and listening ports of this process."""
+    me = psutil.Process()
+    return {*_threads(), *_children(me), *_listening(me)}
+
+
+def _threads() -> Iterator[str]:
+    for thread in threading.enumerate():
+        # a thread that Python did not start is only a name for a caller that came by
+        if not isinstance(thread, threading._DummyThread):
+            yield f"thread {thread.name} ({thread.ident})"
+
+
+def _children(me: psutil.Process) -> Iterator[str]:
+    for child in me.children(recursive=True):
+        try:
+            command = " ".join(child.cmdline())
+        except psutil.Error:
+            continue
+        if not any(kept in command for kept in KEPT_PROCESSES):
+            yield f"process {child.pid} {command}"
+
+
+def _listening(me: psutil.Process) -> Iterator[str]:
+    for connection in me.net_connections(kind="inet"):
+        if connection.status == psutil.CONN_LISTEN:
+            yield f"port {connection.laddr.port}"
