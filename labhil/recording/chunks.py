@@ -1,0 +1,142 @@
+"""What stands in an MCAP file, chunk by chunk, whether or not the file has an end.
+
+The records inside a chunk are walked once; the messages of one channel are then taken out of it as one
+array of bytes, so that nothing is done message by message.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, Metadata
+from mcap.stream_reader import get_chunk_data_stream
+from mcap.writer import MCAP0_MAGIC
+from numpy.lib.stride_tricks import sliding_window_view
+
+from labhil.codec import ByteRows
+from labhil.signals import IntArray
+
+_RECORD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<BQH")
+_MESSAGE_HEAD = 22  # channel u16, sequence u32, log time u64, publish time u64
+
+
+@dataclass(slots=True)
+class Messages:
+    """The messages of one channel, in the order of the file, as pieces of rows of bytes."""
+
+    pieces: list[ByteRows] = field(default_factory=list)
+
+    def rows(self, size: int) -> ByteRows | None:
+        """The payloads as one array of shape (n, size), or None when some have another size."""
+        if not all(piece.shape[1] == _MESSAGE_HEAD + size for piece in self.pieces):
+            return None
+        if not self.pieces:
+            return np.empty((0, size), dtype=np.uint8)
+        return np.concatenate(self.pieces)[:, _MESSAGE_HEAD:]
+
+    def payloads(self) -> list[bytes]:
+        """The payloads one by one."""
+        return [row[_MESSAGE_HEAD:].tobytes() for piece in self.pieces for row in piece]
+
+    def log_times(self) -> IntArray:
+        """Log times in ns (Unix time), int64 of shape (n,)."""
+        times = [np.ascontiguousarray(piece[:, 6:14]).view("<i8")[:, 0] for piece in self.pieces]
+        return np.concatenate(times).astype(np.int64) if times else np.empty(0, dtype=np.int64)
+
+
+@dataclass(slots=True)
+class Contents:
+    """Everything that could be read. ``damage`` says in words what could not, empty when all could."""
+
+    channels: dict[int, Channel] = field(default_factory=dict)
+    messages: defaultdict[int, Messages] = field(default_factory=lambda: defaultdict(Messages))
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    damage: str = ""
+
+
+def is_mcap(data: bytes) -> bool:
+    """Whether a file begins as an MCAP file does."""
+    return data[: len(MCAP0_MAGIC)] == MCAP0_MAGIC
+
+
+def scan(data: bytes) -> Contents:
+    """Read all that can be read of an MCAP file, with or without its end."""
+    contents = Contents()
+    position = len(MCAP0_MAGIC)
+    while position + _RECORD.size <= len(data):
+        opcode, length = _RECORD.unpack_from(data, position)
+        start, end = position + _RECORD.size, position + _RECORD.size + length
+        if opcode == 0:  # no record has it: blocks of zeros are what a power failure leaves
+            contents.damage = f"byte {position}: expected a record, found zeros"
+            return contents
+        if end > len(data):
+            break
+        try:
+            _take(contents, opcode, data[start:end])
+        except Exception as error:  # noqa: BLE001 - lz4, zstd, struct and mcap each raise their own
+            contents.damage = f"byte {position}: a damaged record was left out: {error}"
+        if opcode == Opcode.FOOTER and data[end:] == MCAP0_MAGIC:
+            return contents
+        position = end
+    missing = f"the file ends after {len(data)} bytes, without the end that a finished recording has"
+    contents.damage = f"{contents.damage}; {missing}" if contents.damage else missing
+    return contents
+
+
+def _take(contents: Contents, opcode: int, body: bytes) -> None:
+    stream = ReadDataStream(BytesIO(body))
+    if opcode == Opcode.CHUNK:
+        raw_stream, size = get_chunk_data_stream(Chunk.read(stream), validate_crc=True)
+        _take_chunk(contents, raw_stream.read(size))
+    elif opcode == Opcode.CHANNEL:
+        channel = Channel.read(stream)
+        contents.channels.setdefault(channel.id, channel)
+    elif opcode == Opcode.ATTACHMENT:
+        attachment = Attachment.read(stream)
+        contents.attachments[attachment.name] = bytes(attachment.data)
+    elif opcode == Opcode.METADATA:
+        metadata = Metadata.read(stream)
+        contents.metadata[metadata.name] = metadata.metadata
+    elif opcode == Opcode.MESSAGE:  # a file without chunks
+        row = np.frombuffer(body, dtype=np.uint8)[np.newaxis]
+        contents.messages[int.from_bytes(body[:2], "little")].pieces.append(row)
+
+
+def _take_chunk(contents: Contents, raw: bytes) -> None:
+    places: defaultdict[int, list[tuple[int, int]]] = defaultdict(list)
+    for opcode, start, length, channel in _records(raw):
+        if opcode == Opcode.MESSAGE:
+            places[channel].append((start, length))
+        else:
+            _take(contents, opcode, raw[start : start + length])
+    flat = np.frombuffer(raw, dtype=np.uint8)
+    for channel, found in places.items():
+        starts, lengths = np.array(found).T
+        if (lengths == lengths[0]).all():
+            rows: Any = sliding_window_view(flat, lengths[0])[starts]
+            contents.messages[channel].pieces.append(rows)
+        else:
+            contents.messages[channel].pieces.extend(
+                flat[np.newaxis, start : start + length] for start, length in found
+            )
+
+
+def _records(raw: bytes) -> Iterator[tuple[int, int, int, int]]:
+    """Walk a chunk: opcode, start and length of the body, and its first two bytes as a number."""
+    position, end = 0, len(raw)
+    padded = raw + bytes(2)
+    while position < end:
+        opcode, length, channel = _MESSAGE.unpack_from(padded, position)
+        position += _RECORD.size
+        yield opcode, position, length, channel
+        position += length

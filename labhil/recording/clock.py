@@ -1,0 +1,99 @@
+"""The device's clock mapped onto the host's: the time in which recordings are analysed.
+
+A device stamps its samples with its own clock, which is steady but drifts by some parts in a million;
+the host's stamps are right on average but jump by what wire and scheduler add. A robust straight line
+through both gives times that have the device's steadiness and the host's rate.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from labhil.signals import FloatArray, IntArray
+
+BLOCKS = 64
+ROUNDS = 6
+OUTLIER = 4.0
+"""Residuals beyond that many robust standard deviations are thrown out."""
+
+SMALLEST_SPREAD = 1e-6
+"""s; no smaller deviation makes an outlier."""
+
+SHORTEST_FIT = 1.0
+"""s; a recording shorter than that tells nothing about the drift."""
+
+LARGEST_DRIFT = 0.02
+"""A fitted rate further off than that is no drift of a crystal: the stamps are not of one clock."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClockFit:
+    """How a device's clock runs against the host's.
+
+    ``t`` is the time of the samples, in seconds of the device's world, from the host's ``origin``
+    (shape (n,)). ``drift`` is the relative error of the device's clock (50e-6: 50 ppm fast; 0 where it
+    could not be told), ``jitter`` the robust standard deviation of the host's stamps about the line, s;
+    ``outliers`` how many were thrown out; ``device_clock`` whether the device's clock could be used.
+    """
+
+    t: FloatArray
+    drift: float
+    jitter: float
+    outliers: int
+    device_clock: bool
+
+
+def fit_clock(t_hw_ns: IntArray, t_acq_ns: IntArray, origin_ns: int, speed: float = 1.0) -> ClockFit:
+    """Map the stamps of a device's clock onto the host's.
+
+    ``speed`` is how many seconds of the device's world pass in one second of the host: host times are
+    multiplied by it. Where the device's clock does not advance with every sample, the host's stamps
+    are used as they are.
+    """
+    host: FloatArray = np.asarray((t_acq_ns - origin_ns) * (1e-9 * speed), dtype=np.float64)
+    if len(host) < 3 or not (np.diff(t_hw_ns) > 0).all():
+        return ClockFit(host, 0.0, 0.0, 0, device_clock=False)
+    device = (t_hw_ns - t_hw_ns[0]) * 1e-9
+    delay = host - device  # small numbers: the line through them is nearly level
+    if device[-1] < SHORTEST_FIT:
+        return ClockFit(device + float(np.median(delay)), 0.0, 0.0, 0, device_clock=True)
+    slope, level = _median_line(device, delay)
+    good = np.ones(len(delay), dtype=bool)
+    spread = 0.0
+    for _ in range(ROUNDS):
+        residual = delay - (level + slope * device)
+        spread = max(1.4826 * float(np.median(np.abs(residual[good]))), SMALLEST_SPREAD)
+        kept = np.abs(residual) <= OUTLIER * spread
+        slope, level = _straight_line(device[kept], delay[kept], slope)
+        if np.array_equal(kept, good):
+            break
+        good = kept
+    if abs(slope) > LARGEST_DRIFT:
+        return ClockFit(host, 0.0, 0.0, 0, device_clock=False)
+    outliers = int(np.count_nonzero(~good))
+    t: FloatArray = np.asarray(level + (1.0 + slope) * device, dtype=np.float64)
+    return ClockFit(t, 1.0 / (1.0 + slope) - 1.0, spread, outliers, device_clock=True)
+
+
+def _median_line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
+    """A line through medians of blocks: the median of the slopes of all pairs (Theil and Sen)."""
+    count = min(BLOCKS, len(x))
+    edges = np.linspace(0, len(x), count + 1).astype(int)
+    blocks = [slice(start, end) for start, end in pairwise(edges)]
+    bx = np.array([np.median(x[block]) for block in blocks])
+    by = np.array([np.median(y[block]) for block in blocks])
+    first, second = np.triu_indices(count, k=1)
+    slope = float(np.median((by[second] - by[first]) / (bx[second] - bx[first])))
+    return slope, float(np.median(by - slope * bx))
+
+
+def _straight_line(x: FloatArray, y: FloatArray, slope: float) -> tuple[float, float]:
+    """Least squares; ``slope`` is kept where the points do not tell one."""
+    dx = x - x.mean()
+    scale = float(dx @ dx)
+    if scale > 0:
+        slope = float(dx @ (y - y.mean())) / scale
+    return slope, float(y.mean() - slope * x.mean())

@@ -1,0 +1,249 @@
+"""MCAP in, numpy out."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from labhil.codec import Codec, stream_from_json
+from labhil.errors import ProtocolError, RecordingError, RigFileError, suggestion
+from labhil.recording.chunks import Contents, Messages, is_mcap, scan
+from labhil.recording.clock import ClockFit, fit_clock
+from labhil.rig import RigFile, parse_rig
+from labhil.signals import Batch, FloatArray, IntArray, Stream
+
+RIG_ATTACHMENT = "rig.toml"
+
+
+@dataclass(frozen=True)
+class StreamData:
+    """All samples of one stream.
+
+    ``seq``, ``t_acq_ns`` (host, Unix time) and ``t_hw_ns`` (the device's clock) are int64 of shape (n,);
+    ``values`` has shape (n, stream.width), SI units; ``t`` (n,) is the time of analysis in seconds of the
+    device's world: its clock mapped onto the host's, 0 at the recording's first sample. ``lost`` counts
+    the holes in ``seq``; ``speed`` is how many seconds of that world passed in a second of the host.
+    """
+
+    device: str
+    stream: Stream
+    seq: IntArray
+    t_acq_ns: IntArray
+    t_hw_ns: IntArray
+    values: FloatArray
+    t: FloatArray
+    lost: int
+    speed: float
+    metadata: Mapping[str, str]
+    clock: ClockFit
+
+    def __len__(self) -> int:
+        return len(self.seq)
+
+    def __getitem__(self, name: str) -> FloatArray:
+        """Values of the signal ``name``: shape (n,), or (n, width) for a vector.
+
+        RecordingError names the signals that are there.
+        """
+        names = self.stream.names()
+        if name not in names:
+            raise RecordingError(
+                f"stream /{self.device}/{self.stream.name}: no signal {name!r}{suggestion(name, names)}; "
+                f"found: {', '.join(names)}"
+            )
+        columns = self.values[:, self.stream.columns_of(name)]
+        return columns[:, 0] if columns.shape[1] == 1 else columns
+
+    @property
+    def rate(self) -> float:
+        """Measured rate in Hz (lost samples counted in); the nominal one for fewer than two samples."""
+        if len(self) < 2 or not self.t[-1] > self.t[0]:
+            return self.stream.rate
+        return float((self.seq[-1] - self.seq[0]) / (self.t[-1] - self.t[0]))
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened at ``t_ns`` (host, Unix time), which is ``t`` in the time of analysis."""
+
+    device: str
+    topic: str
+    t_ns: int
+    t: float
+    body: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recording as it stands in its file.
+
+    ``complete`` is False when the file has no end (its recorder was killed) or a part of it is damaged;
+    ``damage`` then says what is missing. ``rig`` is the rig file that was attached, if one was.
+    """
+
+    path: Path
+    sha256: str
+    streams: tuple[StreamData, ...]
+    rig: RigFile | None
+    attachments: Mapping[str, bytes]
+    metadata: Mapping[str, Mapping[str, str]]
+    events: tuple[Event, ...]
+    complete: bool
+    damage: str = ""
+
+    def stream_with(self, *names: str) -> StreamData:
+        """Return the stream that has all these signals; RecordingError says what is there otherwise."""
+        found = [data for data in self.streams if set(names) <= set(data.stream.names())]
+        if len(found) == 1:
+            return found[0]
+        wanted = " and ".join(names)
+        if found:
+            where = ", ".join(f"/{data.device}/{data.stream.name}" for data in found)
+            raise RecordingError(f"{self.path}: expected one stream with {wanted}, found several: {where}")
+        here = [name for data in self.streams for name in data.stream.names()]
+        near = "".join(suggestion(name, here) for name in names if name not in here)
+        what = "; ".join(
+            f"/{data.device}/{data.stream.name}: {', '.join(data.stream.names())}" for data in self.streams
+        )
+        raise RecordingError(
+            f"{self.path}: expected a stream with {wanted}{near}; found: {what or 'no streams at all'}"
+        )
+
+    @property
+    def duration(self) -> float:
+        """Seconds (of analysis time) from the first sample to the last."""
+        return max((float(data.t[-1]) for data in self.streams if len(data)), default=0.0)
+
+
+def read_recording(path: Path) -> Recording:
+    """Read a recording; one without an end is read as far as it goes.
+
+    RecordingError when there is no such file, when it is no MCAP file, or when it is damaged beyond use.
+    """
+    data = _bytes_of(path)
+    contents = scan(data)
+    streams = _streams(path, contents)
+    origin_ns = min((int(s.t_acq_ns[0]) for s in streams if len(s)), default=0)
+    return Recording(
+        path=path,
+        sha256=hashlib.sha256(data).hexdigest(),
+        streams=_timed(streams, origin_ns),
+        rig=_rig(path, contents),
+        attachments=contents.attachments,
+        metadata=contents.metadata,
+        events=_events(contents, origin_ns, {data.device: data.speed for data in streams}),
+        complete=not contents.damage,
+        damage=contents.damage,
+    )
+
+
+def _bytes_of(path: Path) -> bytes:
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        part = path.with_name(path.name + ".part")
+        beside = f"; beside it lies {part}, which was not finished" if part.exists() else ""
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}{beside}") from error
+    if not data:
+        raise RecordingError(f"{path}: expected an MCAP recording, found an empty file")
+    if not is_mcap(data):
+        raise RecordingError(
+            f"{path}: expected an MCAP recording, found a file that begins with {data[:8]!r}; "
+            "tables become recordings with `labhil import`"
+        )
+    return data
+
+
+def _streams(path: Path, contents: Contents) -> list[StreamData]:
+    """Decode all streams of ours; their times of analysis are not known yet."""
+    streams = []
+    for channel in contents.channels.values():
+        if "labhil.stream" not in channel.metadata:
+            continue
+        try:
+            stream = stream_from_json(channel.metadata["labhil.stream"])
+            batch = _decode(Codec(stream), contents.messages[channel.id])
+            speed = _speed(channel.metadata)
+        except (ProtocolError, ValueError) as error:
+            raise RecordingError(f"{path}: {channel.topic}: {error}") from error
+        device = channel.metadata.get("device", channel.topic.split("/")[1])
+        untimed = ClockFit(np.zeros(len(batch)), 0.0, 0.0, 0, device_clock=False)
+        told = {key: value for key, value in channel.metadata.items() if not key.startswith("labhil.")}
+        streams.append(
+            StreamData(
+                device=device,
+                stream=stream,
+                seq=batch.seq,
+                t_acq_ns=batch.t_acq_ns,
+                t_hw_ns=batch.t_hw_ns,
+                values=batch.values,
+                t=untimed.t,
+                lost=holes(batch.seq),
+                speed=speed,
+                metadata=told,
+                clock=untimed,
+            )
+        )
+    return streams
+
+
+def _speed(metadata: Mapping[str, str]) -> float:
+    speed = float(metadata.get("speed", "1"))
+    if not 0 < speed < float("inf"):
+        raise ValueError(f"expected a positive speed, found {speed}")
+    return speed
+
+
+def _decode(codec: Codec, messages: Messages) -> Batch:
+    rows = messages.rows(codec.size)
+    return codec.decode(messages.payloads()) if rows is None else codec.decode_rows(rows)
+
+
+def holes(seq: IntArray) -> int:
+    """How many numbers are missing in a sequence that should count up by one."""
+    return int(np.maximum(np.diff(seq) - 1, 0).sum())
+
+
+def _timed(streams: list[StreamData], origin_ns: int) -> tuple[StreamData, ...]:
+    """Give all streams one time, which is 0 at the first sample of them all."""
+    clocks = [fit_clock(data.t_hw_ns, data.t_acq_ns, origin_ns, data.speed) for data in streams]
+    pairs = list(zip(streams, clocks, strict=True))
+    start = min((float(clock.t[0]) / data.speed for data, clock in pairs if len(data)), default=0.0)
+    return tuple(replace(data, t=clock.t - start * data.speed, clock=clock) for data, clock in pairs)
+
+
+def _rig(path: Path, contents: Contents) -> RigFile | None:
+    text = contents.attachments.get(RIG_ATTACHMENT)
+    if text is None:
+        return None
+    try:
+        return parse_rig(text.decode("utf-8"), path.parent / RIG_ATTACHMENT)
+    except (UnicodeDecodeError, RigFileError) as error:
+        raise RecordingError(f"{path}: its attached rig file cannot be used: {error}") from error
+
+
+def _events(contents: Contents, origin_ns: int, speeds: Mapping[str, float]) -> tuple[Event, ...]:
+    events = []
+    for channel in contents.channels.values():
+        if channel.message_encoding != "json":
+            continue
+        messages = contents.messages[channel.id]
+        for t_ns, payload in zip(messages.log_times().tolist(), messages.payloads(), strict=True):
+            device, _, topic = channel.topic.strip("/").partition("/")
+            t = (t_ns - origin_ns) * 1e-9 * speeds.get(device, 1.0)
+            events.append(Event(device, topic, t_ns, t, _body(payload)))
+    return tuple(sorted(events, key=lambda event: event.t_ns))
+
+
+def _body(payload: bytes) -> Mapping[str, Any]:
+    try:
+        body = json.loads(payload)
+    except ValueError:
+        body = payload.decode("utf-8", "replace")
+    return body if isinstance(body, dict) else {"text": str(body)}

@@ -1,0 +1,209 @@
+"""Writing a recording: nothing is lost but what came in after the last flush.
+
+While it is written a recording is called ``NAME.mcap.part``; ``finish`` renames it. Every few tenths of
+a second the open chunk is closed and the file forced to the disk. The first error of the disk ends the
+recording: what follows it in the same file could not be found again.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO, Self
+
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap.writer import CompressionType, Writer
+
+from labhil import __version__
+from labhil.codec import LAYOUT_VERSION, Codec, stamps_of, stream_to_json
+from labhil.errors import ProtocolError, RecordingError, RecordingFailedError
+from labhil.signals import Batch, Stream
+
+FLUSH_INTERVAL = 0.3
+"""Seconds between two flushes; what a killed process loses at most."""
+
+SMALLEST_FREE_SPACE = 16 * 1024 * 1024
+"""Bytes; with less than that left on the disk the recording ends while it still can."""
+
+CHUNK_SIZE = 256 * 1024
+LARGEST_TIME_NS = 2**63 - 1
+EVENT_TOPIC = "event"
+
+
+class RecordingWriter:
+    """Writes one MCAP recording; used by one thread.
+
+    RecordingError when ``path`` exists already (unless ``replace``) or an unfinished recording of that
+    name lies beside it; RecordingFailedError, from any method, when the disk fails: the recording then
+    stays under its ``.part`` name, readable up to the last flush.
+    """
+
+    def __init__(self, path: Path, *, replace: bool = False) -> None:
+        self.path = path
+        self.part = path.with_name(path.name + ".part")
+        self.failure: str | None = None
+        self._finished = False
+        self._codecs: dict[int, Codec] = {}
+        self._json_channels: dict[str, int] = {}
+        if path.exists() and not replace:
+            raise RecordingError(f"{path}: expected a new file, found one that exists; nothing was written")
+        self._file = _create(self.part, replace)
+        self._writer = Writer(self._file, chunk_size=CHUNK_SIZE, compression=CompressionType.LZ4)
+        self._flushed_at = time.monotonic()
+        with self._guarded():
+            self._writer.start(library=f"labhil {__version__}")
+
+    def add_stream(self, device: str, stream: Stream, metadata: Mapping[str, str] | None = None) -> int:
+        """Open a channel ``/<device>/<stream>`` and return its id.
+
+        ``metadata`` says more about the stream, in strings: ``speed``, ``serial``, ``firmware``.
+        """
+        codec = Codec(stream)
+        told = {
+            **(metadata or {}),
+            "labhil.layout": LAYOUT_VERSION,
+            "labhil.stream": stream_to_json(stream),
+            "device": device,
+        }
+        with self._guarded():
+            schema = self._writer.register_schema(
+                codec.schema_name, SchemaEncoding.Protobuf, codec.descriptor_set()
+            )
+            topic = f"/{device}/{stream.name}"
+            channel = int(self._writer.register_channel(topic, MessageEncoding.Protobuf, schema, told))
+        self._codecs[channel] = codec
+        return channel
+
+    def write(self, channel: int, samples: Batch | Sequence[bytes]) -> None:
+        """Store samples, or messages that are encoded already, as they are.
+
+        ProtocolError, and nothing stored, when a message is none of that stream's.
+        """
+        codec = self._codecs[channel]
+        payloads = codec.encode(samples) if isinstance(samples, Batch) else samples
+        if not payloads:
+            return
+        for payload in payloads:
+            if len(payload) != codec.size:
+                raise ProtocolError(
+                    f"stream {codec.stream.name!r}: expected {codec.size} bytes, found {len(payload)}"
+                )
+        stamps = stamps_of(payloads)
+        if (stamps < 0).any():  # such a log time makes a file that nobody can read
+            raise ProtocolError(f"stream {codec.stream.name!r}: expected stamps of 0 or more, found negative")
+        with self._guarded():
+            for payload, (seq, t_acq_ns, _) in zip(payloads, stamps.tolist(), strict=True):
+                self._writer.add_message(channel, t_acq_ns, payload, t_acq_ns, seq & 0xFFFFFFFF)
+        self.flush_when_due()
+
+    def event(self, device: str, t_ns: int, body: Mapping[str, Any], *, topic: str = EVENT_TOPIC) -> None:
+        """Store something that happened, as JSON, on ``/<device>/event`` (or another topic)."""
+        name = f"/{device}/{topic}"
+        t_ns = min(max(int(t_ns), 0), LARGEST_TIME_NS)
+        with self._guarded():
+            if name not in self._json_channels:
+                schema = self._writer.register_schema(
+                    f"labhil.{topic}", SchemaEncoding.JSONSchema, b'{"type": "object"}'
+                )
+                channel = self._writer.register_channel(
+                    name, MessageEncoding.JSON, schema, {"device": device}
+                )
+                self._json_channels[name] = int(channel)
+            data = json.dumps(dict(body)).encode()
+            self._writer.add_message(self._json_channels[name], t_ns, data, t_ns)
+        self.flush_when_due()
+
+    def attach(self, name: str, media_type: str, data: bytes) -> None:
+        """Attach a whole file, such as the rig file."""
+        with self._guarded():
+            self._writer.add_attachment(0, 0, name, media_type, data)
+
+    def metadata(self, name: str, data: Mapping[str, str]) -> None:
+        """Add a table of strings."""
+        with self._guarded():
+            self._writer.add_metadata(name, {key: str(value) for key, value in data.items()})
+
+    def flush_when_due(self) -> None:
+        """Flush if the last time is long enough ago."""
+        if time.monotonic() - self._flushed_at >= FLUSH_INTERVAL:
+            self.flush()
+
+    def flush(self) -> None:
+        """Close the open chunk and force everything to the disk."""
+        with self._guarded():
+            self._writer.flush()
+            os.fdatasync(self._file.fileno())
+            free = shutil.disk_usage(self.part.parent).free
+        self._flushed_at = time.monotonic()
+        if free < SMALLEST_FREE_SPACE:
+            self.finish("failed", "disk nearly full")
+            self.failure = (
+                f"{self.path}: the recording ended early, because only {free / 1e6:.0f} MB are left on the "
+                "disk; what came in before can be read"
+            )
+            raise RecordingFailedError(self.failure)
+
+    def finish(self, exit_status: str = "done", reason: str = "") -> Path:
+        """Write the end of the file and give it its name; returns that. Safe to call twice."""
+        if self._finished:
+            return self.path
+        self.metadata("end", {"exit_status": exit_status, "reason": reason})
+        with self._guarded():
+            self._writer.finish()
+            self._file.flush()
+            os.fsync(self._file.fileno())
+            self._file.close()
+            self.part.replace(self.path)
+        self._finished = True
+        return self.path
+
+    def abandon(self) -> None:
+        """Let go of the file without an end; it stays under its ``.part`` name. Safe to call twice."""
+        # closing writes what is still buffered; a full disk refuses that, and the file is closed all the same
+        with suppress(OSError):
+            self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._finished:
+            return
+        if error is None:
+            self.finish()
+        else:
+            self.abandon()
+
+    @contextmanager
+    def _guarded(self) -> Iterator[None]:
+        if self.failure is not None:
+            raise RecordingFailedError(self.failure)
+        try:
+            yield
+        except OSError as error:
+            self.failure = (
+                f"{self.part}: the recording ended early, because the disk failed: {error}; "
+                "what was flushed before can be read"
+            )
+            self.abandon()
+            raise RecordingFailedError(self.failure) from error
+
+
+def _create(part: Path, replace: bool) -> BinaryIO:
+    if part.exists() and not replace:
+        raise RecordingError(
+            f"{part}: expected no unfinished recording of this name, found one; move it away first"
+        )
+    try:
+        part.parent.mkdir(parents=True, exist_ok=True)
+        return part.open("wb" if replace else "xb")
+    except OSError as error:
+        raise RecordingFailedError(f"{part}: the recording could not be created: {error}") from error
