@@ -4,6 +4,8 @@ import contextlib
 import json
 import os
 import signal
+import subprocess
+import sys
 import threading
 import tty
 from pathlib import Path
@@ -18,6 +20,7 @@ from labhil.link import ChannelScale, Decoder, Frame, Hello, MessageType, encode
 from labhil.signals import Batch
 from labhil.testing import DriverContract
 from labhil_ball_beam import BallBeamDriver
+from labhil_ball_beam.port import Port
 
 SPEED = 5.0
 GOLDEN = json.loads((Path(__file__).parent / "golden_frames.json").read_text(encoding="utf-8"))
@@ -86,7 +89,7 @@ def test_the_ball_rolls_the_way_the_beam_is_tilted():
 def test_no_sample_is_lost_at_ten_times_the_speed():
     with ball_beam_twin("pty", 10.0) as (address, _), BallBeamDriver(address) as driver:
         info = driver.connect()
-        batch = collect(driver, 3000)
+        batch = collect(driver, 1500)
         assert info.speed == 10.0
         assert np.all(np.diff(batch.seq) == 1)
         assert np.all(np.diff(batch.t_hw_ns) == 10_000_000)
@@ -237,3 +240,31 @@ def test_another_version_is_named():
 def test_a_silent_port_is_named():
     with impostor(lambda _: b"") as address, pytest.raises(ConnectError, match="nothing came"):
         BallBeamDriver(address).connect()
+
+
+def test_a_port_without_descriptor_works_too():
+    port = Port("loop://")
+    try:
+        assert port.receive(0.01) == b""
+        port.send(b"there and back")
+        received = b""
+        while received != b"there and back":
+            received += port.receive(1.0)
+    finally:
+        port.close()
+
+
+def test_an_address_that_is_no_port_is_refused_with_what_there_is():
+    for address in ("nonsense://x", "socket://127.0.0.1:notaport", "/dev/null"):
+        with pytest.raises(ConnectError, match="serial port"):
+            BallBeamDriver(address).connect()
+
+
+def test_the_contract_says_that_it_needs_pytest():
+    program = "import sys; sys.modules['pytest'] = None; import labhil.testing"
+    environment = dict(os.environ, PYTHONPATH=os.pathsep.join(path for path in sys.path if path))
+    run = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, env=environment, check=False
+    )
+    assert run.returncode != 0
+    assert "'pytest'" in run.stderr.splitlines()[-1]
