@@ -109,6 +109,7 @@ class DeviceControl:
         self._shut_down_reason = ""
         self._refused: set[str] = set()
         self._violation: str | None = None
+        self._heard_at = 0.0
         self._inbox: queue.SimpleQueue[Request] = queue.SimpleQueue()
         self._resources = ExitStack()
         # what the device itself would wait for, in the host's time, four times over
@@ -139,15 +140,15 @@ class DeviceControl:
 
         Raises what the driver raises; the device is brought to its safe state then, too.
         """
-        heard = before = time.monotonic()
+        self._heard_at = before = time.monotonic()
         try:
             while not (reason := self._ended() or self._shut_down_reason):
                 batch = self._driver.read(READ_TIMEOUT)
                 now = time.monotonic()
                 if len(batch):
-                    heard = now
+                    self._heard_at = now
                     self._take_in(batch)
-                elif now - heard > SILENCE:
+                elif now - self._heard_at > SILENCE:
                     raise DeviceSilentError(
                         f"{self._config.address}: the device said nothing for {SILENCE:g} s; "
                         f"expected {self._driver.spec.stream.rate * self._info.speed:g} samples per second"
@@ -316,9 +317,12 @@ class DeviceControl:
             return
         self._commanded.unheard += min(turn, LONGEST_STALL)
         if self._commanded.unheard > self._config.watchdog:
-            self._to_safety(
-                HostState.IDLE, f"watchdog: commands stopped for {self._config.watchdog:g} s", "watchdog"
-            )
+            stopped = f"watchdog: commands stopped for {self._config.watchdog:g} s"
+            if now - self._heard_at > self._config.watchdog / 2:
+                # a controller that follows the samples has nothing to say when there are none
+                self._to_safety(HostState.IDLE, f"{stopped}, as the device sends no samples", "quiet")
+            else:
+                self._to_safety(HostState.IDLE, stopped, "watchdog")
         elif now - self._commanded.sent_at > self._keep_alive:
             self._send(now)
 

@@ -1,0 +1,217 @@
+"""The command ``labhil``: one thin function per command.
+
+Each command imports what it needs when it runs, so that a rack PC that records loads no compiler and a
+laptop that fits loads no bus. Results go to stdout, everything else to stderr.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from labhil.errors import LabhilError, UsageError
+
+app = typer.Typer(
+    help="Record a rig and its simulation, find where they disagree, and say what physics was left out.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def main() -> None:
+    """Run the command line; ends the process with 0 (done), 1 (the run came to grief) or 2 (wrong use)."""
+    try:
+        app()
+    except LabhilError as error:
+        print(error, file=sys.stderr)
+        sys.exit(error.exit_status)
+
+
+def write_json(data: dict[str, Any], path: Path | None = None) -> None:
+    """Write a result as JSON, to stdout or a file; numbers that are not finite have been made None before."""
+    text = json.dumps(data, ensure_ascii=False, allow_nan=False, indent=1)
+    if path is None:
+        print(text)
+        return
+    try:
+        path.write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise UsageError(f"{path}: the result cannot be written: {error}") from error
+
+
+def split_names(text: str | None) -> tuple[str, ...] | None:
+    """Return the names in ``"a,b,c"``; None for None, nothing for an empty text."""
+    if text is None:
+        return None
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def parse_settings(settings: list[str]) -> dict[str, float]:
+    """Return the numbers in ``["name=value", …]``; UsageError says which one is not like that."""
+    parsed: dict[str, float] = {}
+    for setting in settings:
+        name, equals, value = setting.partition("=")
+        try:
+            parsed[name.strip()] = float(value)
+        except ValueError:
+            equals = ""
+        if not equals or not name.strip():
+            raise UsageError(
+                f"--set {setting!r}: expected name=number, like viscous_friction.coefficient=0.3"
+            )
+    return parsed
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from labhil import __version__
+
+        print(f"labhil {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _labhil(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Say which version it is."),
+    ] = False,
+) -> None:
+    """Bench-to-model loop: acquire, fit, diagnose."""
+
+
+@app.command(
+    epilog="Example: labhil twin ball_beam --seed 3 --terms viscous_friction,coulomb_friction --speed 5"
+)
+def twin(
+    kind: Annotated[str, typer.Argument(help="A name from `labhil devices`.")],
+    *,
+    seed: Annotated[int, typer.Option(help="Of its noise.")] = 0,
+    terms: Annotated[
+        str | None, typer.Option(help="Effects it is made of: a,b,… (default: its own).")
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="NAME=VALUE", help="Another value (SI); may be repeated."),
+    ] = None,
+    speed: Annotated[float, typer.Option(help="How many seconds of its world pass in one.")] = 1.0,
+    wire: Annotated[str, typer.Option(help="pty or tcp.")] = "pty",
+    answer: Annotated[Path | None, typer.Option(help="Write what it is made of to this file.")] = None,
+    parameters: Annotated[bool, typer.Option("--list", help="Print terms and settings, and end.")] = False,
+) -> None:
+    """Start a simulated device on the real wire.
+
+    The first line of its output is the address to connect to; it runs until it is interrupted.
+    """
+    from labhil.driver import TwinOptions
+    from labhil.plugins import load_twin
+
+    device = load_twin(kind)
+    if parameters:
+        for name, about in device.terms().items():
+            print(f"--terms {name}: {about}")
+        for name, value in device.parameters().items():
+            print(f"--set {name}={value:g}")
+        return
+    chosen = parse_settings(settings or [])
+    options = TwinOptions(seed, speed, split_names(terms), chosen, wire, answer)
+    device.serve(options, lambda address: print(address, flush=True))
+
+
+@app.command(epilog="Example: labhil devices ball_beam")
+def devices(
+    names: Annotated[list[str] | None, typer.Argument(help="Describe these (imports them).")] = None,
+) -> None:
+    """List the installed driver plugins and twins, or describe some of them."""
+    from labhil import plugins
+
+    if not names:
+        twins = plugins.names(plugins.TWINS)
+        for name in plugins.names(plugins.DRIVERS):
+            print(f"{name}  (with a simulated device)" if name in twins else name)
+        return
+    for name in names:
+        spec = plugins.load_driver(name).spec
+        print(f"{name}: {spec.description}")
+        print(f"  rig {spec.rig}; address: twin, {spec.address_help}")
+        print(
+            f"  samples at {spec.stream.rate:g} Hz; safe after {spec.command_timeout:g} s without a command"
+        )
+        for signal in spec.stream.signals:
+            command = f", commanded, safe at {spec.safe[signal.name]:g}" if signal.name in spec.safe else ""
+            print(f"  {signal.name} [{signal.unit}] {signal.description}{command}")
+
+
+@app.command(epilog="Example: labhil run ball_beam_identify.toml --out recordings")
+def run(
+    experiment: Annotated[Path, typer.Argument(help="An experiment file (TOML).")],
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check everything, touch no device.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the recording goes.")] = Path(),
+) -> None:
+    """Acquire: run the steps of an experiment file and leave one recording.
+
+    Its path is the last line of the output. Ctrl+C brings every device to its safe state and leaves a
+    readable recording.
+    """
+    from labhil.experiment.experiment import load_experiment
+    from labhil.experiment.plan import make_plan
+
+    plan = make_plan(load_experiment(experiment))
+    if dry_run:
+        print(plan.describe())
+        return
+    from labhil.experiment.run import run_experiment
+    from labhil.experiment.show import ProgressBar
+
+    for warning in plan.warnings():
+        print(warning, file=sys.stderr)
+    with ProgressBar() as bar:
+        result = run_experiment(plan.experiment, out, bar)
+    if result.error is not None:
+        print(result.error, file=sys.stderr)
+    if as_json:
+        write_json(result.to_json())
+    elif result.path is not None:
+        print(result.path)
+    raise typer.Exit(result.exit_status)
+
+
+@app.command("import", epilog="Example: labhil import bench.csv --rig ball_beam.toml -o bench.mcap")
+def import_(
+    data: Annotated[Path, typer.Argument(help="A text table (any extension) or a MAT file.")],
+    rig: Annotated[
+        Path, typer.Option(help="The rig file; its [table] and [channels] say how to read the data.")
+    ],
+    out: Annotated[Path, typer.Option("-o", "--out", help="The recording to write (.mcap).")],
+) -> None:
+    """Make a recording of a table that others wrote."""
+    from labhil.recording.tables import import_table, write_import
+    from labhil.rig import load_rig
+
+    rig_file = load_rig(rig)
+    table = import_table(data, rig_file)
+    write_import(table, rig_file, out)
+    print(out)
+
+
+@app.command(epilog="Example: labhil export run.mcap -o run.csv")
+def export(
+    recording: Annotated[Path, typer.Argument(help="A recording (.mcap).")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="The table to write (.csv).")],
+) -> None:
+    """Write the samples of a recording as a table: a column t (s), then the signals in SI units."""
+    from labhil.recording.export import export_csv
+    from labhil.recording.reader import read_recording
+
+    if out.suffix.lower() != ".csv":
+        raise UsageError(f"{out}: expected a name that ends in .csv, found {out.suffix!r}")
+    export_csv(read_recording(recording), out)
+    print(out)

@@ -1,0 +1,82 @@
+"""What a device is asked for at each of its samples: its steps, and the PD that keeps the plant in range."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from labhil.experiment.excitation import Excitation
+from labhil.experiment.experiment import Stabilise, TimedStep
+from labhil.signals import Stream
+
+
+class Derivative:
+    """d/dt of a sampled signal through a first-order lag of ``filter_time`` s; zero at the first sample."""
+
+    def __init__(self, filter_time: float) -> None:
+        self._filter_time = filter_time
+        self._before: tuple[float, float] | None = None
+        self._value = 0.0
+
+    def at(self, t: float, y: float) -> float:
+        """Take the sample ``y`` at time ``t`` (s) in, and return the derivative there."""
+        if self._before is not None:
+            elapsed = t - self._before[0]
+            if elapsed > 0:
+                slope = (y - self._before[1]) / elapsed
+                self._value += elapsed / (self._filter_time + elapsed) * (slope - self._value)
+        self._before = (t, y)
+        return self._value
+
+
+@dataclass(frozen=True, slots=True)
+class _Feedback:
+    settings: Stabilise
+    column: int
+    derivative: Derivative
+
+    def effort(self, t: float, values: Sequence[float]) -> float:
+        y = values[self.column]
+        settings = self.settings
+        return settings.kp * (y - settings.setpoint) + settings.kd * self.derivative.at(t, y)
+
+
+@dataclass(frozen=True, slots=True)
+class _Drive:
+    signal: str
+    start: float
+    end: float
+    excitation: Excitation
+    feedback: _Feedback | None
+
+
+class Controller:
+    """Turns the samples of one device into what is requested of it.
+
+    Outside its steps a signal is asked for its safe value. Times are s of the device's clock since
+    the run began.
+    """
+
+    def __init__(self, steps: Sequence[TimedStep], stream: Stream, safe: Mapping[str, float]) -> None:
+        self._safe = dict(safe)
+        self._drives = [_drive(timed, stream) for timed in steps]
+
+    def requested(self, t: float, values: Sequence[float]) -> dict[str, float]:
+        """Return the value of every command after the sample ``values`` at time ``t``.
+
+        Every sample is to be shown, in order: derivatives are made of them.
+        """
+        wanted = dict(self._safe)
+        for drive in self._drives:
+            effort = drive.feedback.effort(t, values) if drive.feedback is not None else 0.0
+            if drive.start <= t < drive.end:
+                wanted[drive.signal] = drive.excitation(t - drive.start) - effort
+        return wanted
+
+
+def _drive(timed: TimedStep, stream: Stream) -> _Drive:
+    step, feedback = timed.step, None
+    if step.stabilise is not None:
+        column = stream.columns_of(step.stabilise.on).start
+        feedback = _Feedback(step.stabilise, column, Derivative(step.stabilise.filter))
+    return _Drive(step.signal, timed.start, timed.end, step.make(), feedback)

@@ -1,0 +1,131 @@
+"""One device of a run, from the runner's side: samples in, setpoints out."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from contextlib import ExitStack
+from types import TracebackType
+from typing import Self
+
+import zenoh
+
+from labhil.bus.ask import ask
+from labhil.bus.keys import command_key, event_key, setpoint_key, stream_key
+from labhil.bus.session import Bus
+from labhil.bus.subscribe import Subscription, subscribe
+from labhil.codec import Codec
+from labhil.errors import LabhilError, LimitTrippedError, RunError, RunStoppedError
+from labhil.experiment.controller import Controller
+from labhil.experiment.plan import DevicePlan
+from labhil.service.hosts import ConnectedDevice
+from labhil.service.messages import HostState, Setpoint
+
+ASK_TIMEOUT = 2.0
+
+
+class DeviceRun:
+    """Commands one device through its steps, in its own time, at each of its samples.
+
+    Between :meth:`start` and the end of its steps every batch of samples is answered with a setpoint.
+    ``changed`` is set when the steps are over or something went wrong.
+    """
+
+    def __init__(
+        self, bus: Bus, plan: DevicePlan, device: ConnectedDevice, duration: float, changed: threading.Event
+    ) -> None:
+        self.plan = plan
+        self.elapsed = 0.0
+        self.error: LabhilError | None = None
+        self.heard_at = time.monotonic()
+        self._bus, self._duration, self._changed = bus, duration, changed
+        self._codec = Codec(device.stream)
+        self._controller = Controller(plan.steps, device.stream, device.safe)
+        self._started_at_ns: int | None = None
+        self._running = False
+        self._token = ""
+        self._setpoints = bus.session.declare_publisher(
+            setpoint_key(plan.name), congestion_control=zenoh.CongestionControl.BLOCK
+        )
+        self._samples: Subscription | None = None
+        self._resources = ExitStack()
+        self._stream_name = device.stream.name
+
+    def __enter__(self) -> Self:
+        with ExitStack() as resources:
+            name = self.plan.name
+            resources.enter_context(subscribe(self._bus, event_key(name), self._take_events))
+            samples = subscribe(self._bus, stream_key(name, self._stream_name), self._take_samples)
+            self._samples = resources.enter_context(samples)
+            self._resources = resources.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._running = False
+        self._resources.close()
+
+    @property
+    def done(self) -> bool:
+        """Whether all steps of the run are over by this device's clock."""
+        return self.elapsed >= self._duration
+
+    def failure(self) -> Exception | None:
+        """Return what went wrong with the device or with following it, None while all is well."""
+        return self.error or (self._samples.error if self._samples is not None else None)
+
+    def take_lease(self, holder: str) -> None:
+        """Become the one who commands the device; CommandRefusedError when it is not to be had."""
+        answer = ask(
+            self._bus, command_key(self.plan.name, "lease"), {"action": "take", "holder": holder}, ASK_TIMEOUT
+        )
+        self._token = str(answer["token"])
+
+    def start(self) -> None:
+        """Let the steps begin at the device's next sample."""
+        self.heard_at = time.monotonic()
+        self._running = True
+
+    def make_safe(self, reason: str) -> None:
+        """Bring the device to its safe state; raises BusError when its host does not answer."""
+        self._running = False
+        ask(self._bus, command_key(self.plan.name, "safe"), {"reason": reason}, ASK_TIMEOUT)
+
+    def _take_samples(self, _key: str, payloads: list[bytes]) -> None:
+        self.heard_at = time.monotonic()
+        if not self._running:
+            return
+        batch = self._codec.decode(payloads)
+        requested: dict[str, float] = {}
+        for t_ns, values in zip(batch.t_hw_ns.tolist(), batch.values.tolist(), strict=True):
+            if self._started_at_ns is None:
+                self._started_at_ns = t_ns
+            self.elapsed = (t_ns - self._started_at_ns) * 1e-9
+            requested = self._controller.requested(self.elapsed, values)
+        if self.done:
+            self._running = False
+            self._changed.set()
+        else:
+            setpoint = Setpoint(self._token, time.time_ns(), requested)
+            self._setpoints.put(setpoint.to_bytes())
+
+    def _take_events(self, _key: str, payloads: list[bytes]) -> None:
+        for payload in payloads:
+            event = json.loads(payload)
+            error = self._error_of(event["kind"], f"{self.plan.name}: {event['message']}")
+            if error is not None and self.error is None:
+                self.error = error
+                self._changed.set()
+
+    def _error_of(self, kind: str, message: str) -> LabhilError | None:
+        if kind == HostState.TRIPPED.value:
+            return LimitTrippedError(message)
+        if not self._running:
+            return None
+        if kind == "watchdog":
+            return RunError(message)
+        if kind == "refused":
+            return RunError(f"{message} (a setpoint was refused)")
+        return RunStoppedError(f"{message} (somebody else stopped the device)") if kind == "safe" else None

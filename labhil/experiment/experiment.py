@@ -1,0 +1,259 @@
+"""The experiment file (TOML): which devices, what moves them, and where the recording goes."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from labhil.errors import ExperimentFileError, UnknownNameError, suggestion
+from labhil.experiment.excitation import Excitation, ExcitationKeys, make_excitation
+from labhil.experiment.toml import to_toml
+from labhil.rig import RigFile, default_rig, explain, load_rig
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+TWIN = "twin"
+"""The address that stands for "start the simulated device, and stop it afterwards"."""
+DEVICE_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*\Z")
+RESERVED_NAMES = ("run", "recorder")
+"""Device names that the recording uses for itself."""
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class ExperimentSection(_Section):
+    """``[experiment]``: what this acquisition is called, and the seed of whatever is drawn at random."""
+
+    name: Annotated[str, Field(min_length=1)]
+    seed: int = 0
+
+
+class TwinSection(_Section):
+    """``twin = { … }``: what the simulated device is made of. Never stands in a recording.
+
+    ``terms`` None means the twin's own default; ``set`` overrides single values (SI); ``speed`` is how
+    many seconds of its world pass in one second.
+    """
+
+    speed: Positive = 1.0
+    seed: Annotated[int, Field(ge=0)] = 0
+    terms: tuple[str, ...] | None = None
+    set: dict[str, Finite] = {}
+    wire: Literal["pty", "tcp"] = "pty"
+
+    @field_validator("set", mode="before")
+    @classmethod
+    def _flattened(cls, value: object) -> object:
+        return dict(_flatten(value)) if isinstance(value, Mapping) else value
+
+
+class DeviceSection(_Section):
+    """``[devices.NAME]``: a driver plugin, where its device is, and the rig file that goes with it."""
+
+    plugin: str
+    address: Annotated[str, Field(min_length=1)]
+    rig: str | None = None
+    twin: TwinSection = TwinSection()
+
+
+class Stabilise(_Section):
+    """``stabilise = { … }``: a PD that keeps the signal ``on`` near ``setpoint`` while the step runs.
+
+    requested = excitation − ``kp``·(on − ``setpoint``) − ``kd``·d(on)/dt, the derivative through a
+    first-order lag of ``filter`` s. Gains in units of the command per unit of ``on`` (and second).
+    """
+
+    on: str
+    kp: Finite
+    kd: Finite = 0.0
+    setpoint: Finite = 0.0
+    filter: NotNegative = 0.03
+
+
+class Step(_Section):
+    """One of ``[[steps]]``: what one signal of one device does for ``duration`` s of the device's clock.
+
+    ``at`` is when it starts, s after the run did; without it, when everything before it has ended.
+    """
+
+    device: str
+    signal: str
+    excitation: str
+    duration: Positive
+    at: NotNegative | None = None
+    stabilise: Stabilise | None = None
+    frequencies: tuple[Finite, ...] | None = None
+    amplitude: Finite | tuple[Finite, ...] | None = None
+    phases: tuple[Finite, ...] | None = None
+    offset: Finite | None = None
+    level: Finite | None = None
+    levels: tuple[Finite, ...] | None = None
+    dwell: Positive | None = None
+
+    @model_validator(mode="after")
+    def _can_be_made(self) -> Step:
+        try:
+            self.make()
+        except UnknownNameError as error:
+            raise ValueError(str(error)) from error
+        return self
+
+    def make(self) -> Excitation:
+        """Return the excitation, a function of the step's own time."""
+        keys = ExcitationKeys(
+            self.frequencies, self.amplitude, self.phases, self.offset, self.level, self.levels, self.dwell
+        )
+        return make_excitation(self.excitation, keys, self.duration)
+
+
+class RecordSection(_Section):
+    """``[record]``: the recording's file name; ``{name}`` and ``{start}`` (local time) are filled in."""
+
+    path: str = "{name}-{start}.mcap"
+
+    @field_validator("path")
+    @classmethod
+    def _formats(cls, value: str) -> str:
+        try:
+            value.format(name="name", start="start")
+        except (KeyError, IndexError, ValueError) as error:
+            raise ValueError(f"only {{name}} and {{start}} are filled in, found {value!r}") from error
+        if not value.endswith(".mcap"):
+            raise ValueError(f"a recording's name ends in .mcap, found {value!r}")
+        return value
+
+
+@dataclass(frozen=True, slots=True)
+class TimedStep:
+    """A step with its place in the run: from ``start`` to ``end``, s of the device's clock."""
+
+    index: int
+    step: Step
+    start: float
+
+    @property
+    def end(self) -> float:
+        """When the step is over."""
+        return self.start + self.step.duration
+
+
+class Experiment(_Section):
+    """A whole experiment file; relative paths in it are relative to the directory of ``path``."""
+
+    experiment: ExperimentSection
+    devices: dict[str, DeviceSection]
+    steps: tuple[Step, ...]
+    record: RecordSection = RecordSection()
+    path: Path = Field(default=Path("experiment.toml"), exclude=True)
+
+    @field_validator("devices")
+    @classmethod
+    def _named_plainly(cls, value: dict[str, DeviceSection]) -> dict[str, DeviceSection]:
+        for name in value:
+            if not DEVICE_NAME.match(name) or name in RESERVED_NAMES:
+                raise ValueError(
+                    f"device name {name!r}: letters, digits, - and _, starting with a letter, "
+                    f"and none of {', '.join(RESERVED_NAMES)}"
+                )
+        return value
+
+    @model_validator(mode="after")
+    def _steps_fit(self) -> Experiment:
+        if not self.steps:
+            raise ValueError("steps: there are none; give at least one [[steps]]")
+        for index, step in enumerate(self.steps):
+            if step.device not in self.devices:
+                known = ", ".join(self.devices)
+                near = suggestion(step.device, self.devices)
+                raise ValueError(f"steps.{index}.device: no device {step.device!r}{near}; known: {known}")
+        _refuse_overlaps(self.schedule())
+        return self
+
+    def schedule(self) -> tuple[TimedStep, ...]:
+        """Return the steps with their starts, in the order of the file."""
+        timed: list[TimedStep] = []
+        end = 0.0
+        for index, step in enumerate(self.steps):
+            timed.append(TimedStep(index, step, end if step.at is None else step.at))
+            end = max(end, timed[-1].end)
+        return tuple(timed)
+
+    @property
+    def duration(self) -> float:
+        """How long the steps take altogether, s of the devices' clocks."""
+        return max(timed.end for timed in self.schedule())
+
+    def rig_of(self, device: str, kind: str) -> RigFile:
+        """Return the rig file of ``device``, or one that says no more than its ``kind``.
+
+        Raises RigFileError, and ExperimentFileError where the file is of another kind.
+        """
+        name = self.devices[device].rig
+        if name is None:
+            return default_rig(kind)
+        rig = load_rig(self.path.parent / name)
+        if rig.kind.name != kind:
+            raise ExperimentFileError(
+                f"{self.path}: devices.{device}.rig: {name} is of kind {rig.kind.name!r}, "
+                f"but plugin {self.devices[device].plugin!r} drives {kind!r}"
+            )
+        return rig
+
+    def public_text(self) -> str:
+        """Return the experiment as TOML without what a twin is made of: this is what a recording holds."""
+        data = self.model_dump(mode="json", exclude_none=True)
+        for device in data["devices"].values():
+            del device["twin"]
+        return to_toml(data)
+
+
+def load_experiment(path: Path) -> Experiment:
+    """Read an experiment file; ExperimentFileError names the file, the field and what was expected."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ExperimentFileError(f"{path}: cannot be read as an experiment file (TOML): {error}") from error
+    return parse_experiment(text, path)
+
+
+def parse_experiment(text: str, path: Path) -> Experiment:
+    """Read the text of an experiment file; ``path`` serves messages and relative paths."""
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ExperimentFileError(f"{path}: not TOML: {error}") from error
+    if "path" in data:
+        raise ExperimentFileError(f"{path}: path: unknown key; did you mean record.path?")
+    try:
+        return Experiment.model_validate({**data, "path": path})
+    except ValidationError as error:
+        raise ExperimentFileError(explain(error, path, Experiment)) from error
+
+
+def _refuse_overlaps(schedule: tuple[TimedStep, ...]) -> None:
+    for later in schedule:
+        for earlier in schedule[: later.index]:
+            same = (earlier.step.device, earlier.step.signal) == (later.step.device, later.step.signal)
+            if same and earlier.start < later.end and later.start < earlier.end:
+                raise ValueError(
+                    f"steps.{later.index}: {later.step.device}.{later.step.signal} is driven by "
+                    f"steps.{earlier.index} at the same time ({later.start:g} s)"
+                )
+
+
+def _flatten(value: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, inner in value.items():
+        if isinstance(inner, Mapping):
+            yield from _flatten(inner, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", inner

@@ -1,0 +1,43 @@
+"""Ctrl+C and its relatives, as something that a run looks at when it is ready to."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+Handler = Callable[[int, FrameType | None], Any] | int | None
+
+
+class Interruption:
+    """Context in which SIGINT, SIGTERM and SIGHUP are noted instead of breaking in.
+
+    A second Ctrl+C thus cannot cut short what the first one set off: bringing devices to their safe
+    state and finishing the recording. Outside the main thread, where Python handles no signals, it
+    notes nothing. ``reason`` is the name of the first signal, or empty.
+    """
+
+    def __init__(self) -> None:
+        self.reason = ""
+        self._handlers: dict[int, Handler] = {}
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+                self._handlers[number] = signal.signal(number, self._note)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
+
+    def _note(self, number: int, _frame: FrameType | None) -> None:
+        self.reason = self.reason or signal.Signals(number).name
+
+    def __call__(self) -> bool:
+        """Whether it is time to stop."""
+        return bool(self.reason)

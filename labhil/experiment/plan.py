@@ -1,0 +1,165 @@
+"""What a run would do, worked out without touching a device: names resolved, limits checked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from labhil.driver import DriverSpec
+from labhil.errors import ExperimentFileError, UnknownNameError
+from labhil.experiment.excitation import crest_factor, sampled
+from labhil.experiment.experiment import TWIN, DeviceSection, Experiment, TimedStep
+from labhil.plugins import load_driver, load_twin
+from labhil.rig import Limit, RigFile
+
+
+@dataclass(frozen=True, slots=True)
+class DevicePlan:
+    """One device of a run: how it is reached, what it is, and its steps."""
+
+    name: str
+    section: DeviceSection
+    spec: DriverSpec
+    rig: RigFile
+    steps: tuple[TimedStep, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class StepPlan:
+    """What one step asks for: ``lowest`` and ``highest`` in its unit, ``fastest`` in its unit per second."""
+
+    timed: TimedStep
+    unit: str
+    lowest: float
+    highest: float
+    fastest: float
+    crest_factor: float
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A whole run; ``duration`` in s of the devices' clocks."""
+
+    experiment: Experiment
+    devices: tuple[DevicePlan, ...]
+    steps: tuple[StepPlan, ...]
+    duration: float
+
+    def warnings(self) -> tuple[str, ...]:
+        """Return what will be different from what was asked for, or goes unchecked."""
+        return tuple(warning for step in self.steps for warning in step.warnings)
+
+    def describe(self) -> str:
+        """Return what the run would do, for a person."""
+        return "\n".join(self._lines())
+
+    def _lines(self) -> Iterator[str]:
+        yield f"{self.experiment.experiment.name}: {self.duration:g} s of the devices' clocks"
+        for device in self.devices:
+            where = "its simulated device" if device.section.address == TWIN else device.section.address
+            speed = device.section.twin.speed if device.section.address == TWIN else 1.0
+            faster = f", {speed:g} times faster than real time" if speed != 1.0 else ""
+            yield f"  {device.name}: {device.section.plugin} at {where}{faster}"
+            for signal, limit in device.rig.limits.items():
+                yield f"    limit {signal}: {_limit_in_words(limit)}"
+            if not device.rig.limits:
+                yield "    no limits: the rig file has no [limits], so nothing is clipped and nothing trips"
+        for step in self.steps:
+            yield f"  {_step_in_words(step)}"
+        for warning in self.warnings():
+            yield f"  note: {warning}"
+
+
+def make_plan(experiment: Experiment) -> Plan:
+    """Resolve names, read rig files and check every step against the limits; no device is touched.
+
+    Raises ExperimentFileError, RigFileError or UnknownNameError.
+    """
+    schedule = experiment.schedule()
+    devices = tuple(_device_plan(experiment, name, schedule) for name in experiment.devices)
+    by_name = {device.name: device for device in devices}
+    steps = tuple(_step_plan(experiment.path, timed, by_name[timed.step.device]) for timed in schedule)
+    return Plan(experiment, devices, steps, experiment.duration)
+
+
+def _device_plan(experiment: Experiment, name: str, schedule: tuple[TimedStep, ...]) -> DevicePlan:
+    section = experiment.devices[name]
+    try:
+        spec = load_driver(section.plugin).spec
+        if section.address == TWIN:
+            _check_twin(section)
+    except UnknownNameError as error:
+        raise ExperimentFileError(f"{experiment.path}: devices.{name}: {error}") from error
+    rig = experiment.rig_of(name, spec.rig)
+    return DevicePlan(name, section, spec, rig, tuple(t for t in schedule if t.step.device == name))
+
+
+def _check_twin(section: DeviceSection) -> None:
+    twin = load_twin(section.plugin)
+    for what, names, known in (
+        ("twin.terms:", section.twin.terms or (), twin.terms()),
+        ("twin.set:", section.twin.set, twin.parameters()),
+    ):
+        for name in names:
+            if name not in known:
+                raise UnknownNameError(what, name, known)
+
+
+def _step_plan(path: Path, timed: TimedStep, device: DevicePlan) -> StepPlan:
+    step, place = timed.step, f"{path}: steps.{timed.index}"
+    commands = {signal.name: signal for signal in device.spec.commands}
+    if step.signal not in commands:
+        raise ExperimentFileError(f"{place}.signal: {UnknownNameError('command', step.signal, commands)}")
+    names = device.spec.stream.names()
+    if step.stabilise is not None and step.stabilise.on not in names:
+        raise ExperimentFileError(
+            f"{place}.stabilise.on: {UnknownNameError('signal', step.stabilise.on, names)}"
+        )
+    rate = device.spec.stream.rate
+    values = sampled(step.make(), step.duration, rate)
+    before = np.concatenate(([device.spec.safe[step.signal]], values[:-1]))
+    unit = commands[step.signal].unit
+    lowest, highest = float(values.min()), float(values.max())
+    fastest = float(np.max(np.abs(values - before))) * rate
+    limit = device.rig.limits.get(step.signal)
+    warnings = () if limit is None else _against(place, step.signal, unit, (lowest, highest, fastest), limit)
+    return StepPlan(timed, unit, lowest, highest, fastest, crest_factor(values), warnings)
+
+
+def _against(
+    place: str, signal: str, unit: str, reach: tuple[float, float, float], limit: Limit
+) -> tuple[str, ...]:
+    """Refuse what lies beyond min and max; what is too fast is slowed, which is worth a warning."""
+    lowest, highest, fastest = reach
+    if lowest < limit.min or highest > limit.max:
+        raise ExperimentFileError(
+            f"{place}: the excitation of {signal} reaches from {lowest:.4g} to {highest:.4g} {unit}; "
+            f"its limits are {limit.min:g} to {limit.max:g} {unit}"
+        )
+    if fastest > limit.rate:
+        return (
+            f"{place}: {signal} changes by up to {fastest:.4g} {unit}/s and will be slowed to its "
+            f"limit of {limit.rate:g} {unit}/s",
+        )
+    return ()
+
+
+def _limit_in_words(limit: Limit) -> str:
+    rate = f", {limit.rate:g} per second" if limit.rate != float("inf") else ""
+    return f"{limit.min:g} to {limit.max:g}{rate}"
+
+
+def _step_in_words(step: StepPlan) -> str:
+    timed, asked = step.timed, step.timed.step
+    words = (
+        f"{timed.start:g}–{timed.end:g} s: {asked.device}.{asked.signal} {asked.excitation}, "
+        f"{step.lowest:.4g} to {step.highest:.4g} {step.unit}, up to {step.fastest:.4g} {step.unit}/s, "
+        f"crest factor {step.crest_factor:.2f}"
+    )
+    if asked.stabilise is None:
+        return words
+    return f"{words}; kp {asked.stabilise.kp:g}, kd {asked.stabilise.kd:g} on {asked.stabilise.on}"

@@ -1,0 +1,52 @@
+"""The progress of a run, drawn on stderr."""
+
+from __future__ import annotations
+
+import sys
+from types import TracebackType
+from typing import Self
+
+import rich.progress
+from rich.console import Console
+
+from labhil.experiment.run import Progress, RunState
+
+
+class ProgressBar:
+    """A bar on stderr, fed with :class:`Progress`; where that is no terminal, a line per change of state."""
+
+    def __init__(self) -> None:
+        self._console = Console(stderr=True)
+        self._bar = rich.progress.Progress(
+            rich.progress.TextColumn("{task.description}"),
+            rich.progress.BarColumn(),
+            rich.progress.TextColumn("{task.completed:.1f} of {task.total:.1f} s"),
+            rich.progress.TimeRemainingColumn(),
+            console=self._console,
+            transient=True,
+        )
+        self._task = self._bar.add_task("starting", total=1.0)
+        self._shown: RunState | None = None
+
+    def __enter__(self) -> Self:
+        if self._console.is_terminal:
+            self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._bar.stop()
+
+    def __call__(self, progress: Progress) -> None:
+        """Draw how far the run has come."""
+        if self._console.is_terminal:
+            self._bar.update(
+                self._task,
+                description=progress.state.value,
+                completed=progress.elapsed,
+                total=progress.duration,
+            )
+        elif progress.state is not self._shown:
+            print(progress.state.value, file=sys.stderr)
+        self._shown = progress.state
