@@ -62,7 +62,8 @@ def ask_hello(port: Port, decoder: Decoder, sender: Sender) -> Hello:
         for frame in decoder.feed(data):
             if frame.type == MessageType.HELLO and (hello := Hello.unpack(frame.payload)).answers in asked:
                 return hello
-        if decoder.frames == 0 and time.monotonic() - first_byte > GARBAGE_FOR:
+        only_garbage = decoder.frames == 0 and time.monotonic() - first_byte > GARBAGE_FOR
+        if only_garbage or decoder.other_versions:
             break
     raise _nobody(port.address, decoder, bytes(heard))
 

@@ -3,7 +3,6 @@
 import json
 
 import pytest
-from twin_process import ball_beam_twin
 
 from labhil.driver import TwinOptions
 from labhil.errors import UnknownNameError, UsageError
@@ -135,7 +134,7 @@ def test_a_twin_without_terms_is_the_bare_rig():
 
 
 @pytest.mark.parametrize("wire", ["pty", "tcp"])
-def test_a_twin_ends_with_its_parent_though_nobody_ever_connected(wire):
+def test_a_twin_ends_with_its_parent_though_nobody_ever_connected(wire, ball_beam_twin):
     # leaving the block closes the pipe on its standard input, and checks how it ended
     with ball_beam_twin(wire) as (address, process):
         assert address.startswith("/dev/" if wire == "pty" else "socket://127.0.0.1:")

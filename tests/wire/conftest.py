@@ -1,4 +1,4 @@
-"""A ball-and-beam twin as a process of its own."""
+"""What the wire tests share: a ball-and-beam twin as a process of its own."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+
+import pytest
 
 PROGRAM = """
 import json, sys
@@ -20,7 +22,7 @@ TWIN.serve(TwinOptions(**options), lambda address: print(address, flush=True))
 
 
 @contextlib.contextmanager
-def ball_beam_twin(
+def twin_process(
     wire: str = "pty", speed: float = 1.0, seed: int = 1, terms: list[str] | None = None, **parameters: float
 ) -> Iterator[tuple[str, subprocess.Popen[str]]]:
     """Start a twin; gives its address and its process, and stops it in the end."""
@@ -41,3 +43,9 @@ def ball_beam_twin(
         status = process.wait(10)
         process.stdout.close()
     assert status == 0
+
+
+@pytest.fixture(scope="session")
+def ball_beam_twin() -> Callable[..., contextlib.AbstractContextManager[tuple[str, subprocess.Popen[str]]]]:
+    """What starts a twin; see :func:`twin_process`."""
+    return twin_process
