@@ -1,6 +1,20 @@
 """MCAP in, numpy out; and the tables of others in, ours out."""
 
+from labhil.recording.export import export, export_csv
 from labhil.recording.reader import Event, Recording, StreamData, read_recording
+from labhil.recording.tables import ImportedTable, describe_import, import_table, write_import
 from labhil.recording.writer import RecordingWriter
 
-__all__ = ["Event", "Recording", "RecordingWriter", "StreamData", "read_recording"]
+__all__ = [
+    "Event",
+    "ImportedTable",
+    "Recording",
+    "RecordingWriter",
+    "StreamData",
+    "describe_import",
+    "export",
+    "export_csv",
+    "import_table",
+    "read_recording",
+    "write_import",
+]
