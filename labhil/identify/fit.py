@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,9 +18,10 @@ from labhil.signals import FloatArray
 Progress = Callable[[str], None]
 
 WINDOW_IN_HORIZONS = 1.5
-LADDER = (0.25, 0.5, 1.0)
+LADDER = (0.125, 0.25, 0.5, 1.0)
 WORST_GROWTH = 1.3
-SCOUT_ITERATIONS = 12
+SETTLED = 1.15
+SCOUT_ITERATIONS = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,13 +101,17 @@ def fit_terms(
     sigma: FloatArray,
     *,
     start: FloatArray | None = None,
+    states: FloatArray | None = None,
     new_terms: Sequence[str] | None = None,
     iterations: int = 60,
+    thorough: bool = True,
 ) -> Fitted:
     """Fit a set of terms from several starts and keep the best.
 
-    ``start`` is a vector to begin at (default: everything neutral); the ``new_terms`` (default: all)
-    begin at each of their own starts. Scouts go a dozen steps from each, the best goes on to the end.
+    ``start`` is a vector to begin at (default: everything neutral), ``states`` initial states of the
+    same windows under a model close by; the ``new_terms`` (default: all) begin at each of their own
+    starts. Scouts go a few steps from each, the best goes on to the end; ``thorough`` gives outlying
+    windows a second chance there.
     """
     begin = start_theta(model) if start is None else start
     windows = fit_windows(record, window)
@@ -116,14 +121,17 @@ def fit_terms(
     for theta in starts:
         problem = Problem(model, record, windows, free, theta, sigma)
         limit = SCOUT_ITERATIONS if len(starts) > 1 else iterations
-        solution = least_squares(problem, problem.start(), iterations=limit)
+        begin_at = problem.start() if states is None else Point(problem.start().z, states)
+        settled = states is not None
+        solution = least_squares(problem, begin_at, iterations=limit, settled=settled, thorough=False)
         if best is None or solution.cost < best[1].cost:
             best = problem, solution
     assert best is not None
     problem, solution = best
-    if not solution.converged:
-        more = least_squares(problem, solution.point, iterations=iterations)
-        solution = replace(more, evaluations=more.evaluations + solution.evaluations)
+    if thorough or not solution.converged:
+        solution = least_squares(
+            problem, solution.point, iterations=iterations, settled=True, thorough=thorough
+        )
     return Fitted(tuple(terms), problem.theta(solution.point.z), problem, solution)
 
 
@@ -181,10 +189,37 @@ def fit(
         progress(f"fitting {len(terms)} terms on windows of {length:.3g} s")
         rungs.append(fit_terms(model, record, terms, length, sigma, start=begin, new_terms=fresh))
         begin, fresh = rungs[-1].theta, ()
+    if rungs[-1].noise > SETTLED:
+        rungs[-1] = _from_other_shapes(model, record, rungs, lengths, sigma, progress)
     chosen = longest_trusted(rungs)
     progress("statistics and scores")
     by_window = [_window_estimate(r, length) for r, length in zip(rungs, lengths, strict=True)]
-    return _finish(model, record, test, rungs[chosen], lengths[chosen], by_window, sigma)
+    return _finish(model, record, test, rungs, chosen, lengths[chosen], by_window, sigma)
+
+
+def _from_other_shapes(
+    model: Model,
+    record: Record,
+    rungs: Sequence[Fitted],
+    lengths: Sequence[float],
+    sigma: FloatArray,
+    progress: Progress,
+) -> Fitted:
+    """Begin the last rungs anew from other starts of terms that have a shape, and keep the best.
+
+    A width such as the Stribeck velocity has local minima: too narrow to be seen, or so wide that it
+    passes for viscous friction.
+    """
+    best = rungs[-1]
+    shaped = [t for t in best.terms if any(p.shape for p in model.terms[t].parameters)]
+    for theta in _starts(model, record, best.theta, shaped) if shaped else []:
+        progress(f"another start for {', '.join(shaped)}")
+        trial, begin = best, theta
+        for length in lengths[-2:]:
+            trial = fit_terms(model, record, best.terms, length, sigma, start=begin, new_terms=())
+            begin = trial.theta
+        best = trial if trial.solution.cost < best.solution.cost else best
+    return best
 
 
 def longest_trusted(rungs: Sequence[Fitted]) -> int:
@@ -219,11 +254,13 @@ def _finish(
     model: Model,
     record: Record,
     test: Record | None,
-    fitted: Fitted,
+    rungs: Sequence[Fitted],
+    chosen_rung: int,
     window: float,
     by_window: list[WindowEstimate],
     sigma: FloatArray,
 ) -> Fit:
+    fitted = rungs[chosen_rung]
     rows, robust, jacobian = table_of(fitted)
     chosen = [model.parameters[i] for i in fitted.problem.free]
     residuals = fitted.solution.residuals
@@ -241,7 +278,7 @@ def _finish(
         test=score(model, fitted.theta, test, noise_of(test)) if test is not None else None,
         ljung_box_p=statistics.whiteness(residuals),
         input_crosscorrelation_p=statistics.input_crosscorrelation(residuals, inputs),
-        evaluations=fitted.solution.evaluations,
+        evaluations=sum(rung.problem.evaluations for rung in rungs),
         converged=fitted.solution.converged,
     )
 

@@ -14,7 +14,7 @@ import numpy as np
 from labhil.physics.model import Model, Record, Windows
 from labhil.signals import FloatArray, IntArray
 
-STEP = 1e-5
+STATE_STEP = 1e-5
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,16 +58,26 @@ class Problem:
         self.sigma = sigma
         chosen = [model.parameters[i] for i in free]
         self.scale = np.array([p.scale for p in chosen])
+        self.step = [p.step for p in chosen]
         self.lower = np.array([p.lower for p in chosen]) / self.scale
         self.upper = np.array([p.upper for p in chosen]) / self.scale
         channels = record.outputs.shape[1]
         self.owner = np.repeat(windows.owner, channels)
         self.edges = np.flatnonzero(np.r_[True, np.diff(self.owner) > 0])
+        self.evaluations = 0
+        self.guess = model.initial_states(record, windows)
         self._measured = record.outputs[windows.rows]
+
+    def of_windows(self, chosen: IntArray) -> Problem:
+        """The same problem on some of its windows only."""
+        spans = list(
+            zip(self.windows.first[chosen].tolist(), self.windows.last[chosen].tolist(), strict=True)
+        )
+        return Problem(self.model, self.record, Windows.of(spans), self.free, self.base, self.sigma)
 
     def start(self) -> Point:
         """The base values, with initial states guessed from the measurement."""
-        return Point(self.base[self.free] / self.scale, self.model.initial_states(self.record, self.windows))
+        return Point(self.base[self.free] / self.scale, self.guess)
 
     def theta(self, z: FloatArray) -> FloatArray:
         """The model's whole vector for scaled free parameters ``z``."""
@@ -77,6 +87,7 @@ class Problem:
 
     def residuals(self, point: Point) -> FloatArray:
         """(simulated − measured) / noise, (N·c,)."""
+        self.evaluations += 1
         simulated = self.model.simulate(self.theta(point.z), self.record, self.windows, point.states)
         return np.asarray(((simulated - self._measured) / self.sigma).ravel())
 
@@ -85,15 +96,19 @@ class Problem:
         by_parameters = np.empty((residuals.size, len(self.free)))
         for j in range(len(self.free)):
             by_parameters[:, j] = self._slope(point, residuals, j, central)
+        return Linearised(residuals, by_parameters, self.state_slopes(point, residuals))
+
+    def state_slopes(self, point: Point, residuals: FloatArray) -> FloatArray:
+        """Slopes of the residuals by each window's own state, in units of the states' scale (N·c, S)."""
         by_states = np.empty((residuals.size, len(self.model.state_scale)))
         for s, scale in enumerate(self.model.state_scale):
             states = point.states.copy()
-            states[:, s] += STEP * scale
-            by_states[:, s] = (self.residuals(Point(point.z, states)) - residuals) / STEP
-        return Linearised(residuals, by_parameters, by_states)
+            states[:, s] += STATE_STEP * scale
+            by_states[:, s] = (self.residuals(Point(point.z, states)) - residuals) / STATE_STEP
+        return by_states
 
     def _slope(self, point: Point, residuals: FloatArray, j: int, central: bool) -> FloatArray:
-        step = STEP * max(1.0, abs(point.z[j]))
+        step = self.step[j] * max(1.0, abs(point.z[j]))
         up, down = point.z.copy(), point.z.copy()
         up[j] += step
         down[j] -= step
@@ -108,11 +123,12 @@ class Problem:
         """Sum rows (N·c, …) within each window, (W, …)."""
         return np.add.reduceat(rows, self.edges, axis=0)
 
-    def state_gram(self, by_states: FloatArray, damping: float = 0.0) -> FloatArray:
-        """AᵀA of each window's own states (W, S, S), damped and kept invertible where a state has no effect."""
+    def state_gram(self, by_states: FloatArray, damping: FloatArray | None = None) -> FloatArray:
+        """AᵀA of each window's own states (W, S, S), damped; invertible even where a state has no effect."""
         gram = self.per_window(by_states[:, :, None] * by_states[:, None, :])
         diagonal = np.einsum("wss->ws", gram)
-        diagonal *= 1.0 + damping
+        if damping is not None:
+            diagonal *= 1.0 + damping[:, None]
         diagonal += 1e-9 * diagonal.max(axis=1, keepdims=True) + 1e-12
         return gram
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labhil.identify.least_squares import fit_states
+from labhil.identify.least_squares import fit_states, rescue_states
 from labhil.identify.problem import Point, Problem
 from labhil.identify.windows import ScoredWindows, scored_windows
 from labhil.physics.model import Model, Record
@@ -15,7 +15,7 @@ from labhil.signals import FloatArray, IntArray
 
 @dataclass(frozen=True, slots=True)
 class ChannelScore:
-    """How well one output is simulated: MSE in unit², RMSE, largest error and floor in unit, R² a fraction."""
+    """How well one output is simulated: MSE in unit²; RMSE, largest error, floor in unit; R² a fraction."""
 
     channel: str
     joint: int | None
@@ -29,7 +29,7 @@ class ChannelScore:
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """Errors (N, c) = simulated − measured of all scored samples; ``rows`` (N,) their places in the record."""
+    """Errors (N, c), simulated − measured, of all scored samples; ``rows`` (N,) are their places."""
 
     channels: tuple[ChannelScore, ...]
     errors: FloatArray
@@ -79,7 +79,8 @@ def score(
     windows = scored_windows(record, horizon or model.horizon)
     nothing = np.empty(0, dtype=np.int64)
     lead = Problem(model, record, windows.lead, nothing, theta, sigma)
-    states = fit_states(lead, model.initial_states(record, windows.lead))
+    none = np.empty(0)
+    states = rescue_states(lead, none, fit_states(lead, none, model.initial_states(record, windows.lead)))
     whole = Problem(model, record, windows.whole, nothing, theta, sigma)
     residuals = whole.residuals(Point(np.empty(0), states))
     c = record.outputs.shape[1]
@@ -87,7 +88,8 @@ def score(
     rows = windows.whole.rows[windows.scored]
     floor = _noise_floor(whole, windows, states, residuals, sigma)
     channels = tuple(
-        _channel(record, j, errors[:, j], rows, windows.whole.owner[windows.scored], floor[j]) for j in range(c)
+        _channel(record, j, errors[:, j], rows, windows.whole.owner[windows.scored], floor[j])
+        for j in range(c)
     )
     owner = windows.whole.owner[windows.scored]
     return Score(channels, errors, rows, owner, windows.horizon, windows, states)

@@ -66,9 +66,7 @@ def robust_covariance(jacobian: FloatArray, residuals: FloatArray, dof: int) -> 
     classical = inverse * float(residuals @ residuals) / dof
     scores = jacobian * residuals[:, None]
     robust = inverse @ long_run_variance(scores) @ inverse * (n / dof)
-    shortfall = np.sqrt(
-        np.maximum(1.0, np.diag(classical) / np.maximum(np.diag(robust), 1e-300))
-    )
+    shortfall = np.sqrt(np.maximum(1.0, np.diag(classical) / np.maximum(np.diag(robust), 1e-300)))
     return np.asarray(robust * np.outer(shortfall, shortfall))
 
 
@@ -194,7 +192,7 @@ def input_crosscorrelation(residuals: FloatArray, inputs: FloatArray, lags: int 
     n = len(residuals) - lags
     if n <= 2 * lags:
         return 1.0
-    rho = float(residuals[1:] @ residuals[:-1] / max(residuals @ residuals, 1e-300))
+    rho = float(residuals[1:] @ residuals[:-1]) / max(float(residuals @ residuals), 1e-300)
     r, u = residuals[1:] - rho * residuals[:-1], inputs[1:] - rho * inputs[:-1]
     lagged = np.column_stack([u[lags - k : len(u) - k] for k in range(lags)])
     lagged = lagged - lagged.mean(axis=0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -30,7 +31,7 @@ def fit_windows(record: Record, length: float) -> Windows:
     count = min(count, n // FEWEST_IN_WINDOW)
     edges = np.searchsorted(record.t, record.t[0] + duration * np.arange(count + 1) / count)
     edges[-1] = n
-    spans = [(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True) if b - a > 1]
+    spans = [(int(a), int(b)) for a, b in pairwise(edges) if b - a > 1]
     return Windows.of(spans)
 
 

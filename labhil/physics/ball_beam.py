@@ -91,6 +91,9 @@ class BallBeamModel:
     kind = "ball_beam"
     state_names = ("ball_position", "ball_velocity")
     state_scale = np.array([0.01, 0.05])
+    never_seen: Mapping[str, str] = {
+        "sensor_offset": "a constant offset of position is taken up by each window's own initial state"
+    }
 
     def __init__(self, rig: RigFile, input_name: str) -> None:
         self.linkage = input_name == "servo_angle"
@@ -216,7 +219,7 @@ class BallBeamModel:
         return self._value(theta, "crank_radius") / self._value(theta, "beam_length")
 
     def _effective_input(self, theta: FloatArray, record: Record) -> FloatArray:
-        """The angle behind backlash, dead zone, saturation, rate limit and lag; the delay comes with the nodes."""
+        """The angle behind backlash, dead zone, saturation, rate limit and lag; the nodes bring the delay."""
         u, t = np.ascontiguousarray(record.inputs[:, 0]), record.t
         gap = self._value(theta, "backlash.gap")
         left, right = self._value(theta, "dead_zone.left"), self._value(theta, "dead_zone.right")
@@ -230,8 +233,9 @@ class BallBeamModel:
         return input_path.first_order_lag(t, u, time_constant) if time_constant else u
 
     def _sensor(self, theta: FloatArray, record: Record, windows: Windows, x: FloatArray) -> FloatArray:
-        x = x + self._value(theta, "sensor_nonlinearity.cubic") * x**3
-        x = x * (1.0 + self._value(theta, "sensor_gain.gain"))
+        cubic, gain = self._value(theta, "sensor_nonlinearity.cubic"), self._value(theta, "sensor_gain.gain")
+        x = x + cubic * x * x * x if cubic else x
+        x = x * (1.0 + gain) if gain else x
         time_constant = self._value(theta, "sensor_lag.time_constant")
         if not time_constant:
             return x

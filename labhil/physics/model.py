@@ -69,13 +69,45 @@ class Model(Protocol):
     A vector ``theta`` holds a value for each of ``parameters``, in their order.
     """
 
-    kind: str
-    state_names: tuple[str, ...]
-    state_scale: FloatArray
-    terms: Mapping[str, Term]
-    parameters: tuple[Parameter, ...]
-    fixed: Mapping[str, float]
-    horizon: float
+    @property
+    def kind(self) -> str:
+        """Name of the rig kind."""
+        ...
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the states; those that end in ``_velocity`` are zero at rest."""
+        ...
+
+    @property
+    def state_scale(self) -> FloatArray:
+        """Typical error of a guessed state, (states,)."""
+        ...
+
+    @property
+    def terms(self) -> Mapping[str, Term]:
+        """All terms that it may have, by name."""
+        ...
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """What may be estimated: the rig's own parameters first, then those of all terms."""
+        ...
+
+    @property
+    def fixed(self) -> Mapping[str, float]:
+        """Parameters that the rig file knows."""
+        ...
+
+    @property
+    def never_seen(self) -> Mapping[str, str]:
+        """Terms that no recording of this rig can show, with the reason."""
+        ...
+
+    @property
+    def horizon(self) -> float:
+        """Scored horizon of the windowed simulation, s."""
+        ...
 
     def initial_states(self, record: Record, windows: Windows) -> FloatArray:
         """Guess the state at the first sample of each window from the measurement alone, (w, states)."""
@@ -91,9 +123,7 @@ class Model(Protocol):
         """Physical coordinates (positions, velocities, inputs) along the simulation, each (N,)."""
         ...
 
-    def effort(
-        self, theta: FloatArray, coordinates: Mapping[str, FloatArray]
-    ) -> FloatArray:
+    def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """Generalised force (or acceleration) that the model exerts at these coordinates, (N,)."""
         ...
 
@@ -112,7 +142,7 @@ def start_values(parameters: Sequence[Parameter]) -> FloatArray:
     return np.array([p.neutral if "." in p.name else p.starts[0] for p in parameters])
 
 
-def starts_of(model: Model, terms: Sequence[Term], record: Record) -> list[Mapping[str, float]]:
+def starts_of(model: Model, terms: Sequence[Term], record: Record) -> list[dict[str, float]]:
     """Sets of values from which a fit of these terms may begin, the first with every level at zero."""
     measure = model.yardsticks(record)
     parameters = [p for term in terms for p in term.parameters]

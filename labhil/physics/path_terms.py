@@ -6,21 +6,21 @@ from labhil.physics.terms import Enters, Parameter, Term, Yardstick
 
 
 def input_terms(unit: str) -> tuple[Term, ...]:
-    """Terms between a command in ``unit`` and what it moves; starts are fractions of what the recording holds."""
+    """Terms between a command in ``unit`` and what it moves; starts are fractions of the input."""
     return (
         Term(
             "time_delay",
             Enters.INPUT,
-            "the command acts later than it is recorded",
+            "a delay: the command acts later than it is recorded",
             "u_eff(t) = u(t − T_d)",
             "reference text, section 4.3",
             "any input that changes; several frequencies tell it from a lag",
-            (Parameter("time_delay.delay", "s", 0.05, 0.0, 1.0, starts=(0.05,)),),
+            (Parameter("time_delay.delay", "s", 0.05, 0.0, 1.0, starts=(0.05,), step=0.04),),
         ),
         Term(
             "dead_zone",
             Enters.INPUT,
-            "small commands have no effect, larger ones are shortened",
+            "a dead zone: small commands have no effect, larger ones are shortened",
             "u_eff = u − U_r above U_r, u + U_l below −U_l, 0 between",
             "eq. 4.18 of the reference text",
             "passages of the command through zero",
@@ -32,7 +32,7 @@ def input_terms(unit: str) -> tuple[Term, ...]:
         Term(
             "backlash",
             Enters.INPUT,
-            "play: after a reversal the mechanism waits until the gap is crossed",
+            "play: after a reversal the mechanism waits until a gap is crossed",
             "u_eff = play operator of width gap",
             "Prandtl's play",
             "reversals of the command at different amplitudes",
@@ -41,29 +41,45 @@ def input_terms(unit: str) -> tuple[Term, ...]:
         Term(
             "saturation",
             Enters.INPUT,
-            "large commands are cut off",
+            "saturation: large commands are cut off",
             "u_eff = clip(u, ±1/s)",
             "standard",
             "large amplitudes",
-            (Parameter("saturation.inverse_limit", f"1/{unit}", 1.0, 0.0, starts=(1.2, 1.7), of=Yardstick.INPUT, power=-1),),
+            (
+                Parameter(
+                    "saturation.inverse_limit",
+                    f"1/{unit}",
+                    1.0,
+                    0.0,
+                    starts=(1.2, 1.7),
+                    of=Yardstick.INPUT,
+                    power=-1,
+                ),
+            ),
         ),
         Term(
             "rate_limit",
             Enters.INPUT,
-            "the actuator follows no faster than its top speed",
+            "a rate limit: the actuator follows no faster than its top speed",
             "|du_eff/dt| ≤ 1/r",
             "standard",
             "large and fast commands",
             (
                 Parameter(
-                    "rate_limit.inverse_rate", f"s/{unit}", 1.0, 0.0, starts=(1.2, 2.0), of=Yardstick.INPUT_RATE, power=-1
+                    "rate_limit.inverse_rate",
+                    f"s/{unit}",
+                    1.0,
+                    0.0,
+                    starts=(1.2, 2.0),
+                    of=Yardstick.INPUT_RATE,
+                    power=-1,
                 ),
             ),
         ),
         Term(
             "actuator_lag",
             Enters.INPUT,
-            "the actuator follows as a first-order lag",
+            "an actuator that follows as a first-order lag",
             "T·u̇_eff + u_eff = u",
             "standard",
             "several frequencies; tells itself from a delay by the fall in gain",
@@ -78,7 +94,7 @@ def output_terms(channel: str, unit: str, span: float) -> tuple[Term, ...]:
         Term(
             "sensor_nonlinearity",
             Enters.OUTPUT,
-            f"the sensor of {channel} is not straight",
+            f"a sensor of {channel} that is not straight",
             "y = x + c·x³",
             "odd static curve, first term",
             "motion over the whole range",
@@ -87,7 +103,7 @@ def output_terms(channel: str, unit: str, span: float) -> tuple[Term, ...]:
         Term(
             "sensor_gain",
             Enters.OUTPUT,
-            f"the sensor of {channel} reads too much or too little, in proportion",
+            f"a gain error of the sensor of {channel}",
             "y = (1 + g)·x",
             "standard",
             "any motion",
@@ -96,7 +112,7 @@ def output_terms(channel: str, unit: str, span: float) -> tuple[Term, ...]:
         Term(
             "sensor_lag",
             Enters.OUTPUT,
-            f"the sensor of {channel} follows as a first-order lag",
+            f"a sensor of {channel} that follows as a first-order lag",
             "T·ẏ + y = x",
             "standard",
             "fast motion",

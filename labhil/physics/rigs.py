@@ -57,5 +57,6 @@ def record_of(recording: Recording, kind: RigKind) -> Record:
     found = "; ".join(f"{s.device}/{s.stream.name}: {', '.join(s.stream.names())}" for s in recording.streams)
     needed = ", ".join(signal.name for signal in outputs)
     raise RecordingError(
-        f"{recording.path}: a {kind.name} needs {needed} and {wanted} in one stream; found {found or 'no stream'}"
+        f"{recording.path}: a {kind.name} needs {needed} and {wanted} in one stream; "
+        f"found {found or 'no stream'}"
     )

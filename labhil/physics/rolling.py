@@ -39,7 +39,8 @@ from labhil.signals import FloatArray, IntArray
 SIZE = 16
 
 LONGEST_STEP = 0.02
-SHORTEST_STEP = 1e-6
+SHORTEST_STEP = 2e-4
+NARROW = 30.0
 
 
 @compiled
@@ -65,7 +66,7 @@ def friction(x: float, v: float, side: float, k: FloatArray) -> float:
     """Deceleration by friction of a ball that moves towards ``side``, m/s²."""
     speed = abs(v)
     dry = k[COULOMB] + side * k[ASYMMETRIC_DRY] + k[DRY_SLOPE] * x
-    if k[STRIBECK] != 0.0:
+    if k[STRIBECK] != 0.0 and speed < NARROW * k[STRIBECK_VELOCITY]:
         dry += k[STRIBECK] * np.exp(-speed / k[STRIBECK_VELOCITY])
     viscous = v * (k[VISCOUS] + k[QUADRATIC] * speed + k[CUBIC] * v * v) + k[ASYMMETRIC_VISCOUS] * speed
     return side * dry + viscous
@@ -82,8 +83,24 @@ def runge_kutta(
     x: float, v: float, side: float, sine: float, slope: float, rate: float, h: float, k: FloatArray
 ) -> tuple[float, float]:
     """One classical fourth-order step of a moving ball; sin β starts at ``sine`` and grows with ``slope``."""
-    middle = sine + 0.5 * h * slope
     a1 = acceleration(x, v, side, sine, rate, k)
+    return runge_kutta_from(a1, x, v, side, sine, slope, rate, h, k)
+
+
+@compiled
+def runge_kutta_from(
+    a1: float,
+    x: float,
+    v: float,
+    side: float,
+    sine: float,
+    slope: float,
+    rate: float,
+    h: float,
+    k: FloatArray,
+) -> tuple[float, float]:
+    """The same, where the acceleration at the start is known."""
+    middle = sine + 0.5 * h * slope
     v2 = v + 0.5 * h * a1
     a2 = acceleration(x + 0.5 * h * v, v2, side, middle, rate, k)
     v3 = v + 0.5 * h * a2
@@ -94,16 +111,18 @@ def runge_kutta(
 
 
 @compiled
-def step_length(x: float, v: float, side: float, sine: float, rate: float, k: FloatArray) -> float:
-    """How far one step may go: the Stribeck peak is narrow and must not be jumped over."""
+def step_length(v: float, pull: float, k: FloatArray) -> float:
+    """How far one step may go: the Stribeck peak is narrow and must not be jumped over.
+
+    ``pull`` is the acceleration at the start of the step.
+    """
     speed = abs(v)
     stiffness = abs(k[VISCOUS]) + 2.0 * abs(k[QUADRATIC]) * speed + 3.0 * abs(k[CUBIC]) * v * v
     h = LONGEST_STEP
     if k[STRIBECK] != 0.0:
         width = k[STRIBECK_VELOCITY]
-        stiffness += abs(k[STRIBECK]) / width * np.exp(-speed / width)
-        pull = abs(acceleration(x, v, side, sine, rate, k))
-        h = min(h, 0.5 * (width + 0.25 * speed) / (pull + 1e-9))
+        stiffness += abs(k[STRIBECK]) / (width * (1.0 + speed * speed / (width * width)))
+        h = min(h, 0.5 * (width + 0.25 * speed) / (abs(pull) + 1e-9))
     return max(min(h, 0.5 / (stiffness + 1e-9)), SHORTEST_STEP)
 
 
@@ -115,11 +134,11 @@ def time_to_rest(
     low, f_low = 0.0, v * side
     high, f_high = h, runge_kutta(x, v, side, sine, slope, rate, h, k)[1] * side
     for _ in range(60):
-        if high - low < 1e-12:
+        if high - low < 1e-10:
             break
         middle = (low * f_high - high * f_low) / (f_high - f_low)
         f = runge_kutta(x, v, side, sine, slope, rate, middle, k)[1] * side
-        if abs(f) < 1e-14:
+        if abs(f) < 1e-10:
             return middle
         if f > 0.0:
             low, f_low = middle, f
@@ -131,7 +150,9 @@ def time_to_rest(
 
 
 @compiled
-def time_to_break_away(x: float, sine: float, slope: float, rate: float, k: FloatArray) -> tuple[float, float]:
+def time_to_break_away(
+    x: float, sine: float, slope: float, rate: float, k: FloatArray
+) -> tuple[float, float]:
     """When a ball at rest starts to move, and towards which side; infinity when the drive stays below."""
     now = drive(x, sine, rate, k)
     growth = k[GRAVITY] * slope
@@ -166,8 +187,9 @@ def advance(
             t += wait
             side = towards
             continue
-        step = min(left, step_length(x, v, side, now, rate, k))
-        x_new, v_new = runge_kutta(x, v, side, now, slope, rate, step, k)
+        pull = acceleration(x, v, side, now, rate, k)
+        step = min(left, step_length(v, pull, k))
+        x_new, v_new = runge_kutta_from(pull, x, v, side, now, slope, rate, step, k)
         if v_new * side >= 0.0:
             x, v = x_new, v_new
             t += step
@@ -233,7 +255,7 @@ def simulate(
 def segment(
     node_t: FloatArray, sine: FloatArray, beam: FloatArray, node: int, now: float
 ) -> tuple[float, float, float]:
-    """β̇, d(sin β)/dt and sin β at the time ``now`` within the segment that follows ``node`` (−1: before all)."""
+    """β̇, d(sin β)/dt and sin β at the time ``now`` in the segment that follows ``node`` (−1: before all)."""
     if node < 0:
         return 0.0, 0.0, sine[0]
     if node + 1 >= node_t.size:

@@ -40,7 +40,8 @@ class Parameter:
     ``scale`` is a typical size in its unit: a standard error beyond it means that the data do not
     know this parameter. ``starts`` are the values from which a fit begins, besides zero, when the
     term joins a model, in units of what ``of`` names in the recording at
-    hand (to the ``power``: −1 for one over a limit). ``shape`` marks a
+    hand (to the ``power``: −1 for one over a limit). ``step`` is the difference, in scales, with
+    which slopes are taken: wide where the simulation has kinks close to each other. ``shape`` marks a
     parameter that has no meaning while its term's level is zero (Stribeck velocity): while the term
     is absent it stays at ``scale``.
     """
@@ -53,6 +54,7 @@ class Parameter:
     starts: tuple[float, ...] = ()
     of: Yardstick = Yardstick.UNIT
     power: int = 1
+    step: float = 1e-4
     shape: bool = False
 
     @property

@@ -1,0 +1,340 @@
+"""The whole question: do model and recordings disagree, where, what is missing, is it better with it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from labhil.diagnose import locate
+from labhil.diagnose.evidence import Evidence
+from labhil.diagnose.search import Data, Found, Rival, Step, search
+from labhil.identify.fit import Fitted, fit_terms, start_theta, table_of
+from labhil.identify.score import Score, score
+from labhil.identify.statistics import Estimate
+from labhil.identify.windows import noise_of
+from labhil.physics.model import Model, Record, index_of
+
+SEARCH_WINDOW_IN_HORIZONS = 0.75
+FIRST_WINDOW_IN_HORIZONS = 0.1875
+FALSE_ALARM = 5e-4
+UNEXPLAINED = 1.5
+
+
+@dataclass(frozen=True, slots=True)
+class Missing:
+    """One effect that the baseline lacks; ``probability`` is its share among itself and its rivals."""
+
+    term: str
+    joint: int | None
+    statement: str
+    equation: str
+    probability: float
+    parameters: list[Estimate]
+    evidence: Evidence
+
+
+@dataclass(frozen=True, slots=True)
+class RivalTerm:
+    """What would explain the data about as well in the place of a found term."""
+
+    term: str
+    instead_of: str
+    joint: int | None
+    probability: float
+    delta_bic: float
+    distinguishable: bool
+    experiment: str
+
+
+@dataclass(frozen=True, slots=True)
+class Undecided:
+    """A term of which these data cannot speak."""
+
+    term: str
+    joint: int | None
+    needs: tuple[str, ...]
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Excluded:
+    """A term that is not there: the largest size of its main parameter that could hide in the data."""
+
+    term: str
+    joint: int | None
+    largest_hidden: float
+    unit: str
+    confidence: float
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A parameter whose value differs from that of the user's own model."""
+
+    name: str
+    joint: int | None
+    before: float
+    after: float
+    unit: str
+    ci99: tuple[float, float]
+    p_value: float
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """The answer. ``data`` is "test" or "heldout"; scores are on data that the search never saw."""
+
+    verdict: str
+    p_value: float
+    p_value_method: str
+    p_value_floor: float
+    baseline_terms: tuple[str, ...]
+    baseline: list[Estimate]
+    changed: tuple[Change, ...]
+    location: locate.Location | None
+    missing: tuple[Missing, ...]
+    rivals: tuple[RivalTerm, ...]
+    undecided: tuple[Undecided, ...]
+    excluded: tuple[Excluded, ...]
+    data: str
+    before: Score
+    after: Score
+    final_terms: tuple[str, ...]
+    final: list[Estimate]
+    baseline_fit: Fitted
+    final_fit: Fitted
+    seconds: float
+
+
+def diagnose(
+    model: Model,
+    searched: Record,
+    held_out: Record,
+    *,
+    heldout_is_test: bool,
+    baseline: Sequence[str],
+    reference: Mapping[str, float] | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Diagnosis:
+    """Find what ``baseline`` lacks on ``searched``, judged on ``held_out``.
+
+    ``reference`` are values of the user's own simulation by parameter name; with them a changed
+    value can be told from missing physics.
+    """
+    began = time.perf_counter()
+    sigma = noise_of(searched)
+    window = SEARCH_WINDOW_IN_HORIZONS * model.horizon
+    data = Data(model, searched, held_out, sigma, noise_of(held_out), window)
+    progress(f"fitting the baseline: {', '.join(baseline)}")
+    base = _fit_baseline(data, baseline, reference)
+    if not _excited(searched, sigma):
+        return _nothing_moves(data, base, heldout_is_test, began)
+    found = search(data, base, progress)
+    progress("scores, intervals and exclusion limits")
+    before = score(model, base.theta, held_out, data.test_sigma)
+    after = score(model, found.final.theta, held_out, data.test_sigma) if found.missing else before
+    final, _, _ = table_of(found.final)
+    changed = _changes(model, base, found, reference)
+    return Diagnosis(
+        verdict=_verdict(found, changed, after),
+        p_value=found.p_value,
+        p_value_method="tail_extrapolated",
+        p_value_floor=0.0,
+        baseline_terms=base.terms,
+        baseline=table_of(base)[0],
+        changed=changed,
+        location=_location(found, before, after, held_out),
+        missing=tuple(_missing(model, step, found, final) for step in found.missing),
+        rivals=tuple(_rival(model, rival, found) for rival in found.rivals),
+        undecided=_undecided(model),
+        excluded=_excluded(data, found),
+        data="test" if heldout_is_test else "heldout",
+        before=before,
+        after=after,
+        final_terms=found.final.terms,
+        final=final,
+        baseline_fit=base,
+        final_fit=found.final,
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _fit_baseline(data: Data, terms: Sequence[str], reference: Mapping[str, float] | None) -> Fitted:
+    """Short windows first: they lead to the neighbourhood, long ones to the estimate."""
+    short = fit_terms(
+        data.model,
+        data.search,
+        terms,
+        FIRST_WINDOW_IN_HORIZONS * data.model.horizon,
+        data.sigma,
+        start=start_theta(data.model, reference),
+    )
+    return fit_terms(data.model, data.search, terms, data.window, data.sigma, start=short.theta, new_terms=())
+
+
+def _excited(record: Record, sigma: np.ndarray) -> bool:
+    """Whether outputs move beyond their noise and the input moves at all."""
+    moved = np.std(record.outputs, axis=0) > 5.0 * sigma
+    return bool(moved.all() and np.std(record.inputs[:, 0]) > 0)
+
+
+def _verdict(found: Found, changed: tuple[Change, ...], after: Score) -> str:
+    if found.missing:
+        return "missing_physics"
+    if after.rmse > UNEXPLAINED * after.noise_floor:
+        return "unexplained_mismatch"
+    return "parameter_change" if changed else "no_mismatch"
+
+
+def _changes(
+    model: Model, base: Fitted, found: Found, reference: Mapping[str, float] | None
+) -> tuple[Change, ...]:
+    """Reference values that the refitted model contradicts at the level of the verdict."""
+    if not reference:
+        return ()
+    rows = {row.name: row for row in table_of(found.final)[0]}
+    compared = [(rows[name], value) for name, value in reference.items() if name in rows]
+    changes = []
+    for row, value in compared:
+        p_value = float(2.0 * stats.norm.sf(abs(row.value - value) / max(row.std_error, 1e-300)))
+        if p_value * len(compared) < FALSE_ALARM:
+            changes.append(Change(row.name, row.joint, value, row.value, row.unit, row.ci99, p_value))
+    return tuple(changes)
+
+
+def _location(found: Found, before: Score, after: Score, held_out: Record) -> locate.Location | None:
+    if not found.missing:
+        return None
+    model = found.final.problem.model
+    strongest = model.terms[found.missing[0].terms[0]]
+    regimes = tuple(
+        regime
+        for step in found.missing
+        for coordinates, effort in [locate.contribution(found.final, step.terms[0])]
+        for regime in locate.regimes(coordinates, effort**2)[:1]
+    )
+    channel = found.final.problem.record.output_names[0]
+    return locate.Location(
+        channel=channel,
+        joint=None,
+        enters=strongest.enters.value,
+        times=locate.times(before, after, held_out.t),
+        regimes=regimes,
+        statement=locate.statement(regimes, strongest.enters.value, channel),
+    )
+
+
+def _missing(model: Model, step: Step, found: Found, final: list[Estimate]) -> Missing:
+    (name,) = step.terms
+    term = model.terms[name]
+    rows = [row for row in final if row.term == name]
+    sizes = ", ".join(f"{row.name.partition('.')[2]} = {row.value:.4g} {row.unit}" for row in rows)
+    rivals = [r for r in found.rivals if r.instead_of == name]
+    return Missing(
+        term=name,
+        joint=None,
+        statement=f"The model leaves out {term.statement}: {sizes}.",
+        equation=term.equation,
+        probability=_probability(0.0, rivals),
+        parameters=rows,
+        evidence=step.evidence,
+    )
+
+
+def _probability(delta_bic: float, rivals: Sequence[Rival]) -> float:
+    """exp(−ΔBIC/2) of one among all that stand for the same term, with the term itself at zero."""
+    total = 1.0 + sum(np.exp(-0.5 * r.delta_bic) for r in rivals)
+    return float(np.exp(-0.5 * delta_bic) / total)
+
+
+def _rival(model: Model, rival: Rival, found: Found) -> RivalTerm:
+    same = [r for r in found.rivals if r.instead_of == rival.instead_of]
+    return RivalTerm(
+        term=rival.term,
+        instead_of=rival.instead_of,
+        joint=None,
+        probability=_probability(rival.delta_bic, same),
+        delta_bic=rival.delta_bic,
+        distinguishable=False,
+        experiment=f"excite with {model.terms[rival.term].revealed_by}",
+    )
+
+
+def _undecided(model: Model) -> tuple[Undecided, ...]:
+    """Terms of which no recording of this rig can speak, with the reason."""
+    return tuple(Undecided(name, None, (), reason) for name, reason in model.never_seen.items())
+
+
+def _excluded(data: Data, found: Found) -> tuple[Excluded, ...]:
+    """Linearised estimate of every absent term beside the final model, ± its 99 % error."""
+    problem, solution = found.final.problem, found.final.solution
+    lin = problem.linearise(solution.point, solution.residuals)
+    own = problem.project(lin, lin.by_parameters)
+    noise = found.final.noise
+    limits = []
+    for name, term in data.model.terms.items():
+        if name in found.final.terms:
+            continue
+        parameter = next(p for p in term.parameters if not p.shape)
+        column = _slope(found.final, parameter.name)
+        column = problem.project(lin, column[:, None])[:, 0]
+        basis, _ = np.linalg.qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300))
+        column = column - basis @ (basis.T @ column)
+        power = float(column @ column)
+        if power <= 1e-12:
+            continue
+        value = -float(column @ solution.residuals) / power
+        error = noise / np.sqrt(power)
+        largest = (abs(value) + stats.norm.ppf(0.995) * error) * parameter.scale
+        limits.append(Excluded(name, None, float(largest), parameter.unit, 0.99))
+    return tuple(limits)
+
+
+def _slope(final: Fitted, name: str) -> np.ndarray:
+    """Change of the residuals per scale of a parameter at neutral, from a small finite step."""
+    model, problem = final.problem.model, final.problem
+    parameter = next(p for p in model.parameters if p.name == name)
+    step = 1e-2
+    theta = final.theta.copy()
+    theta[index_of(model.parameters)[name]] += step * parameter.scale
+    simulated = model.simulate(theta, problem.record, problem.windows, final.solution.point.states)
+    measured = problem.record.outputs[problem.windows.rows]
+    residuals = ((simulated - measured) / problem.sigma).ravel()
+    return np.asarray((residuals - final.solution.residuals) / step)
+
+
+def _nothing_moves(data: Data, base: Fitted, heldout_is_test: bool, began: float) -> Diagnosis:
+    """Neither input nor output moves beyond noise: nothing can be said."""
+    marks = score(data.model, base.theta, data.test, data.test_sigma)
+    rows = table_of(base)[0]
+    reason = "neither input nor output moves beyond the noise"
+    undecided = tuple(Undecided(name, None, (), reason) for name in data.model.terms)
+    return Diagnosis(
+        "not_decidable",
+        1.0,
+        "tail_extrapolated",
+        0.0,
+        base.terms,
+        rows,
+        (),
+        None,
+        (),
+        (),
+        undecided,
+        (),
+        "test" if heldout_is_test else "heldout",
+        marks,
+        marks,
+        base.terms,
+        rows,
+        base,
+        base,
+        time.perf_counter() - began,
+    )
+
+
+__all__ = ["Change", "Diagnosis", "Excluded", "Missing", "RivalTerm", "Undecided", "diagnose"]

@@ -1,0 +1,103 @@
+"""What people compare, drawn: measurement and simulation, where the mismatch lives, before and after."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from labhil.diagnose import locate
+from labhil.diagnose.diagnosis import Diagnosis
+from labhil.identify.score import Score
+from labhil.physics.model import Record
+
+BEFORE, AFTER, MEASURED = "#c8553d", "#2a7f62", "#444444"
+
+
+def diagnosis_plot(diagnosis: Diagnosis, held_out: Record, path: Path) -> None:
+    """Write a page of four panels as PNG: simulation, errors, the missing effort, and errors as histogram."""
+    figure = _figure((11.0, 8.0))
+    axes = figure.subplots(2, 2)
+    _draw_windows(axes[0, 0], diagnosis, held_out)
+    _draw_errors(axes[0, 1], diagnosis, held_out)
+    _draw_missing(axes[1, 0], diagnosis)
+    _draw_histogram(axes[1, 1], diagnosis)
+    figure.savefig(path, dpi=110)
+
+
+def _figure(size: tuple[float, float]) -> Figure:
+    with mpl.rc_context({"axes.grid": True}):
+        figure = Figure(figsize=size, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _draw_windows(axes: Axes, diagnosis: Diagnosis, record: Record) -> None:
+    rows = diagnosis.after.rows
+    t, measured = record.t[rows], record.outputs[rows, 0]
+    channel = diagnosis.after.channels[0]
+    axes.plot(t, measured, color=MEASURED, lw=2.5, alpha=0.5, label="measured")
+    for score, colour, label in _both(diagnosis):
+        broken = np.where(np.r_[True, np.diff(score.window) > 0], np.nan, measured + score.errors[:, 0])
+        axes.plot(t, broken, color=colour, lw=1.0, label=label)
+    _finish(
+        axes, "Simulated windows on data the search never saw", "t, s", f"{channel.channel}, {channel.unit}"
+    )
+
+
+def _draw_errors(axes: Axes, diagnosis: Diagnosis, record: Record) -> None:
+    channel = diagnosis.after.channels[0]
+    for score, colour, label in _both(diagnosis):
+        errors = np.where(np.r_[True, np.diff(score.window) > 0], np.nan, score.errors[:, 0])
+        axes.plot(record.t[score.rows], errors, color=colour, lw=1.0, label=label)
+    axes.axhspan(-channel.noise_floor, channel.noise_floor, color="k", alpha=0.12, label="noise floor")
+    _finish(axes, "Error", "t, s", channel.unit)
+
+
+def _draw_missing(axes: Axes, diagnosis: Diagnosis) -> None:
+    """The effort of each missing term, against the coordinate along which the strongest is concentrated."""
+    if not diagnosis.missing:
+        axes.set_axis_off()
+        axes.text(0.5, 0.5, "nothing is missing", ha="center")
+        return
+    regimes = diagnosis.location.regimes if diagnosis.location is not None else ()
+    for i, item in enumerate(diagnosis.missing):
+        coordinates, effort = locate.contribution(diagnosis.final_fit, item.term)
+        name = regimes[0].coordinate if regimes else next(iter(coordinates))
+        axes.scatter(coordinates[name], effort, s=3, color=f"C{i}", alpha=0.4, lw=0, label=item.term)
+    if regimes:
+        label = f"{regimes[0].share_of_excess:.0%} of the first"
+        axes.axvspan(regimes[0].low, regimes[0].high, color=BEFORE, alpha=0.15, label=label)
+    unit = locate.COORDINATE_UNITS.get(name, "")
+    _finish(axes, "What the baseline leaves out", f"{name}, {unit}", "force of each missing effect")
+
+
+def _draw_histogram(axes: Axes, diagnosis: Diagnosis) -> None:
+    channel = diagnosis.after.channels[0]
+    spread = 4.0 * max(channel.rmse, channel.noise_floor)
+    for score, colour, label in _both(diagnosis):
+        clipped = np.clip(score.errors[:, 0], -spread, spread)
+        axes.hist(clipped, bins=61, range=(-spread, spread), color=colour, alpha=0.6, label=label)
+    _finish(axes, "Errors (outliers at the edges)", f"error, {channel.unit}", "samples")
+
+
+def _both(diagnosis: Diagnosis) -> list[tuple[Score, str, str]]:
+    before, after = diagnosis.before, diagnosis.after
+    unit = before.channels[0].unit
+    return [
+        (before, BEFORE, f"before: RMSE {before.channels[0].rmse:.3g} {unit}"),
+        (after, AFTER, f"after: RMSE {after.channels[0].rmse:.3g} {unit}"),
+    ]
+
+
+def _finish(axes: Axes, title: str, x: str, y: str) -> None:
+    axes.set_title(title, loc="left", fontsize=10, fontweight="bold")
+    axes.set_xlabel(x)
+    axes.set_ylabel(y)
+    axes.grid(alpha=0.3)
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(fontsize=8, frameon=False)

@@ -1,0 +1,177 @@
+"""Fits and diagnoses as JSON (`labhil.fit/1`, `labhil.diagnosis/1`): no NaN, no infinity, null instead."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from labhil.diagnose.diagnosis import Diagnosis
+from labhil.errors import ModelFileError
+from labhil.identify.fit import Fit
+from labhil.identify.score import Score
+from labhil.identify.statistics import Estimate
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A recording that a result comes from; ``role`` is "search", "train" or "test"."""
+
+    path: str
+    sha256: str
+    rig: str
+    samples: int
+    duration: float
+    role: str
+
+
+def fit_json(fit: Fit, sources: Sequence[Source], rig: str, estimator: str, seed: int, seconds: float) -> Any:
+    """The whole of a fit as plain JSON data."""
+    return finite(
+        {
+            "schema": "labhil.fit/1",
+            "recordings": [asdict(source) for source in sources],
+            "rig": rig,
+            "estimator": estimator,
+            "seed": seed,
+            "terms": list(fit.terms),
+            "parameters": [asdict(row) for row in fit.estimates],
+            "covariance": fit.covariance.tolist(),
+            "identifiability": asdict(fit.identifiability),
+            "train": score_json(fit.train),
+            "test": None if fit.test is None else score_json(fit.test),
+            "residuals": {
+                "ljung_box_p": fit.ljung_box_p,
+                "input_crosscorrelation_p": fit.input_crosscorrelation_p,
+            },
+            "window": fit.window,
+            "by_window": [asdict(rung) for rung in fit.by_window],
+            "converged": fit.converged,
+            "evaluations": fit.evaluations,
+            "seconds": seconds,
+        }
+    )
+
+
+def score_json(score: Score) -> dict[str, Any]:
+    """Headline and channels of a score; R² is a fraction."""
+    return {
+        "metric": "windowed_simulation",
+        "horizon": score.horizon,
+        "mse": score.mse,
+        "rmse": score.rmse,
+        "max_abs_error": score.max_abs_error,
+        "r2": score.r2,
+        "noise_floor": score.noise_floor,
+        "per_channel": [asdict(channel) for channel in score.channels],
+    }
+
+
+def diagnosis_json(diagnosis: Diagnosis, sources: Sequence[Source]) -> Any:
+    """The whole of a diagnosis as plain JSON data."""
+    return finite(
+        {
+            "schema": "labhil.diagnosis/1",
+            "recordings": [asdict(source) for source in sources],
+            "verdict": diagnosis.verdict,
+            "p_value": diagnosis.p_value,
+            "p_value_method": diagnosis.p_value_method,
+            "p_value_floor": diagnosis.p_value_floor,
+            "baseline": {"terms": list(diagnosis.baseline_terms), "parameters": _rows(diagnosis.baseline)},
+            "changed": [asdict(change) for change in diagnosis.changed],
+            "location": None if diagnosis.location is None else asdict(diagnosis.location),
+            "missing": [{**asdict(item), "parameters": _rows(item.parameters)} for item in diagnosis.missing],
+            "rivals": [asdict(rival) for rival in diagnosis.rivals],
+            "undecided": [asdict(item) for item in diagnosis.undecided],
+            "excluded": [asdict(item) for item in diagnosis.excluded],
+            "improvement": _improvement(diagnosis),
+            "final": {"terms": list(diagnosis.final_terms), "parameters": _rows(diagnosis.final)},
+            "curve": None,
+            "seconds": diagnosis.seconds,
+        }
+    )
+
+
+def _improvement(diagnosis: Diagnosis) -> dict[str, Any]:
+    before, after = diagnosis.before, diagnosis.after
+    return {
+        "data": diagnosis.data,
+        "metric": "windowed_simulation",
+        "horizon": after.horizon,
+        "rmse_before": before.rmse,
+        "rmse_after": after.rmse,
+        "noise_floor": after.noise_floor,
+        "mse_before": before.mse,
+        "mse_after": after.mse,
+        "r2_before": before.r2,
+        "r2_after": after.r2,
+        "per_channel": [
+            {
+                "channel": b.channel,
+                "joint": b.joint,
+                "unit": b.unit,
+                "rmse_before": b.rmse,
+                "rmse_after": a.rmse,
+                "noise_floor": a.noise_floor,
+                "r2_before": b.r2,
+                "r2_after": a.r2,
+            }
+            for b, a in zip(before.channels, after.channels, strict=True)
+        ],
+    }
+
+
+def _rows(estimates: Sequence[Estimate]) -> list[dict[str, Any]]:
+    return [asdict(row) for row in estimates]
+
+
+def finite(value: Any) -> Any:
+    """Plain JSON data with null in the place of NaN and infinities."""
+    if isinstance(value, Mapping):
+        return {str(key): finite(inner) for key, inner in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(inner) for inner in value]
+    if isinstance(value, np.ndarray):
+        return finite(value.tolist())
+    if isinstance(value, (np.floating, float)):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, np.integer):
+        return int(value)
+    return bool(value) if isinstance(value, np.bool_) else value
+
+
+def write_json(data: Any, path: Path) -> None:
+    """Write JSON data, UTF-8, readable."""
+    path.write_text(json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def values_of(path: Path) -> dict[str, float]:
+    """Parameter values of a fit or diagnosis file, to start from or to compare with.
+
+    Raises ModelFileError when the file is neither.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise ModelFileError(f"{path}: cannot be read as a model (JSON of `labhil fit`): {error}") from error
+    schema = data.get("schema") if isinstance(data, dict) else None
+    if schema == "labhil.fit/1":
+        rows = data["parameters"]
+    elif schema == "labhil.diagnosis/1":
+        rows = data["final"]["parameters"]
+    else:
+        raise ModelFileError(
+            f"{path}: expected schema labhil.fit/1 or labhil.diagnosis/1, found {schema or 'no schema'}"
+        )
+    return {row["name"]: float(row["value"]) for row in rows if row.get("value") is not None}
+
+
+def terms_of(path: Path) -> tuple[str, ...]:
+    """Names of the terms of a fit or diagnosis file that :func:`values_of` accepts."""
+    data = json.loads(path.read_text(encoding="utf-8"))
+    return tuple(data["terms"] if data["schema"] == "labhil.fit/1" else data["final"]["terms"])

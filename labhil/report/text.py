@@ -1,0 +1,190 @@
+"""Fits and diagnoses as tables that a person reads in a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rich.console import Console, Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from labhil.diagnose.diagnosis import Diagnosis
+from labhil.identify.fit import Fit
+from labhil.identify.score import Score
+from labhil.identify.statistics import Estimate
+
+VERDICTS = {
+    "no_mismatch": "No mismatch: the data do not contradict the baseline.",
+    "parameter_change": "Parameters have changed; no physics is missing.",
+    "missing_physics": "Physics is missing from the baseline.",
+    "unexplained_mismatch": "There is a mismatch that no term of the catalogue explains.",
+    "data_fault": "The data are at fault.",
+    "not_decidable": "These data cannot tell.",
+}
+
+
+def show_fit(fit: Fit, console: Console) -> None:
+    """Print a fit."""
+    console.print(parameter_table(fit.estimates, "Parameters, with errors robust to correlated residuals"))
+    for note in _fit_notes(fit):
+        console.print(Text("· " + note, style="yellow"))
+    console.print(score_table([("train", fit.train)] + ([("test", fit.test)] if fit.test else [])))
+    if len(fit.by_window) > 1:
+        console.print(window_table(fit))
+    console.print(
+        f"Residuals: white with p = {fit.ljung_box_p:.2g} (Ljung-Box); uncorrelated with the input with "
+        f"p = {fit.input_crosscorrelation_p:.2g}.\n"
+        f"Fitted on windows of {fit.window:.3g} s, {fit.evaluations} simulations"
+        + ("." if fit.converged else "; stopped before it had settled.")
+    )
+
+
+def parameter_table(estimates: Sequence[Estimate], title: str) -> Table:
+    """One row per parameter; ``*`` marks those that differ from zero at 1 %."""
+    table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
+    table.add_column("parameter")
+    for name in ("value", "± std. error", "99 % interval", "z", "p"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("")
+    table.add_column("unit")
+    for row in estimates:
+        table.add_row(
+            row.name,
+            f"{row.value:.5g}",
+            f"{row.std_error:.2g}",
+            f"[{row.ci99[0]:.4g}, {row.ci99[1]:.4g}]".replace("[", r"\["),
+            f"{row.z:.1f}",
+            "<1e-99" if row.p_value < 1e-99 else f"{row.p_value:.2g}",
+            _mark(row),
+            row.unit,
+        )
+    return table
+
+
+def _mark(row: Estimate) -> str:
+    if not row.identifiable:
+        return "not identifiable"
+    if row.at_bound:
+        return "at bound"
+    return "*" if row.significant else ""
+
+
+def score_table(scores: Sequence[tuple[str, Score]]) -> Table:
+    """Errors of windowed simulation, one row per data set and channel."""
+    horizon = scores[0][1].horizon
+    table = Table(
+        title=f"Simulated windows of {horizon:.3g} s",
+        title_justify="left",
+        title_style="bold",
+        box=None,
+        pad_edge=False,
+    )
+    for name in ("data", "channel", "RMSE", "noise floor", "max. error", "MSE", "R²"):
+        table.add_column(name, justify="left" if name in ("data", "channel") else "right")
+    for label, score in scores:
+        for channel in score.channels:
+            table.add_row(
+                label,
+                channel.channel,
+                f"{channel.rmse:.4g} {channel.unit}",
+                f"{channel.noise_floor:.4g} {channel.unit}",
+                f"{channel.max_abs_error:.4g} {channel.unit}",
+                f"{channel.mse:.4g} {channel.unit}²",
+                f"{100 * channel.r2:.2f} %",
+            )
+    return table
+
+
+def window_table(fit: Fit) -> Table:
+    """How estimates move with the length of the fitted windows."""
+    table = Table(
+        title="How the estimates move with the fitted window",
+        title_justify="left",
+        title_style="bold",
+        box=None,
+        pad_edge=False,
+    )
+    table.add_column("parameter")
+    for rung in fit.by_window:
+        table.add_column(f"{rung.window:.3g} s", justify="right")
+    for name in fit.by_window[0].values:
+        cells = [f"{rung.values[name]:.4g} ± {rung.std_errors[name]:.1g}" for rung in fit.by_window]
+        table.add_row(name, *cells)
+    table.add_row("residual / noise", *[f"{rung.residual:.2f}" for rung in fit.by_window])
+    return table
+
+
+def _fit_notes(fit: Fit) -> list[str]:
+    notes = [
+        f"{row.name} is at its bound, so its interval is one-sided at best."
+        for row in fit.estimates
+        if row.at_bound and row.identifiable
+    ]
+    if fit.identifiability.rank < fit.identifiability.of:
+        known = ", ".join(fit.identifiability.combinations)
+        notes.append(
+            f"The data know {fit.identifiability.rank} of {fit.identifiability.of} parameters; "
+            f"what they know of the rest: {known}."
+        )
+    if fit.by_window and fit.window < fit.by_window[-1].window:
+        notes.append(
+            f"Longer windows than {fit.window:.3g} s do not fit to the noise: the plant itself is disturbed, "
+            "or physics is missing. `labhil diagnose` tells."
+        )
+    return notes
+
+
+def show_diagnosis(diagnosis: Diagnosis, console: Console) -> None:
+    """Print a diagnosis."""
+    console.print(diagnosis_text(diagnosis))
+
+
+def diagnosis_text(diagnosis: Diagnosis) -> RenderableType:
+    """A diagnosis as an engineer would report it."""
+    parts: list[RenderableType] = [
+        Text(VERDICTS[diagnosis.verdict], style="bold"),
+        Text(
+            f"Baseline: {', '.join(diagnosis.baseline_terms)}. p = {diagnosis.p_value:.2g} that it suffices."
+        ),
+    ]
+    if diagnosis.location is not None:
+        parts.append(Text(diagnosis.location.statement))
+    for item in diagnosis.missing:
+        parts.append(Text(f"• {item.term} ({100 * item.probability:.0f} %): {item.statement}", style="green"))
+        parts.append(
+            Text(
+                f"  {item.equation};  ΔBIC {item.evidence.delta_bic:.0f}, "
+                f"held-out gain {item.evidence.heldout_loglik_gain:.1f} nats "
+                f"(p = {item.evidence.p_value:.2g})"
+            )
+        )
+    parts += [
+        Text(
+            f"  or {r.term} instead of {r.instead_of} ({100 * r.probability:.0f} %); to tell: {r.experiment}"
+        )
+        for r in diagnosis.rivals
+    ]
+    parts += [
+        Text(f"• {c.name} changed from {c.before:.4g} to {c.after:.4g} {c.unit} (p = {c.p_value:.2g})")
+        for c in diagnosis.changed
+    ]
+    before, after = diagnosis.before, diagnosis.after
+    name = "the test recording" if diagnosis.data == "test" else "held-out data"
+    parts.append(score_table([("before", before), ("after", after)]))
+    parts.append(
+        Text(
+            f"On {name}, which the search never saw: RMSE {before.rmse:.4g} → {after.rmse:.4g}, "
+            f"noise floor {after.noise_floor:.4g}; R² {100 * before.r2:.2f} → {100 * after.r2:.2f} %."
+        )
+    )
+    parts.append(parameter_table(diagnosis.final, "The model that is left"))
+    if diagnosis.excluded:
+        parts.append(
+            Text(
+                "Not there, or smaller than this (99 %): "
+                + ", ".join(f"{e.term} {e.largest_hidden:.2g} {e.unit}" for e in diagnosis.excluded),
+                style="dim",
+            )
+        )
+    parts += [Text(f"Undecided: {item.term}: {item.reason}.", style="dim") for item in diagnosis.undecided]
+    return Group(*parts)
