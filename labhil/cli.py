@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -193,13 +195,13 @@ def import_(
     out: Annotated[Path, typer.Option("-o", "--out", help="The recording to write (.mcap).")],
 ) -> None:
     """Make a recording of a table that others wrote."""
-    from labhil.recording.tables import import_table, write_import
+    from labhil.recording.tables import describe_import, import_table, write_import
     from labhil.rig import load_rig
 
-    rig_file = load_rig(rig)
-    table = import_table(data, rig_file)
-    write_import(table, rig_file, out)
-    print(out)
+    table = import_table(data, load_rig(rig))
+    for line in describe_import(table):
+        print(line, file=sys.stderr)
+    print(write_import(table, out))
 
 
 @app.command(epilog="Example: labhil export run.mcap -o run.csv")
@@ -208,10 +210,114 @@ def export(
     out: Annotated[Path, typer.Option("-o", "--out", help="The table to write (.csv).")],
 ) -> None:
     """Write the samples of a recording as a table: a column t (s), then the signals in SI units."""
-    from labhil.recording.export import export_csv
+    from labhil.recording.export import export as write_table
     from labhil.recording.reader import read_recording
 
-    if out.suffix.lower() != ".csv":
-        raise UsageError(f"{out}: expected a name that ends in .csv, found {out.suffix!r}")
-    export_csv(read_recording(recording), out)
-    print(out)
+    print(write_table(read_recording(recording), out))
+
+
+@app.command(epilog="Example: labhil terms ball_beam")
+def terms(
+    rig: Annotated[str | None, typer.Argument(help="A rig kind; all when absent.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print them as JSON.")] = False,
+) -> None:
+    """List the effects that a rig's model may have, with equation, parameters, units and source."""
+    from labhil.report.catalogue import catalogue_json, show_catalogue
+
+    if as_json:
+        write_json(catalogue_json(rig))
+    else:
+        show_catalogue(rig)
+
+
+@app.command(epilog="Example: labhil fit run.mcap --terms viscous_friction,coulomb_friction --json fit.json")
+def fit(
+    recording: Annotated[Path, typer.Argument(help="A recording (.mcap).")],
+    *,
+    rig: Annotated[Path | None, typer.Option(help="Rig file; default: the recording's own.")] = None,
+    model: Annotated[Path | None, typer.Option(help="A fit to start from (JSON).")] = None,
+    estimator: Annotated[str, typer.Option(help="nlse: least squares from several starts.")] = "nlse",
+    names: Annotated[
+        str | None, typer.Option("--terms", help="Terms of the model: a,b,… (default: the general model).")
+    ] = None,
+    test: Annotated[Path | None, typer.Option(help="A separate recording to judge on.")] = None,
+    holdout: Annotated[float, typer.Option(help="Share to hold out at the end, without --test.")] = 0.3,
+    window: Annotated[float | None, typer.Option(help="Length of the fitted windows, s.")] = None,
+    json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
+) -> None:
+    """Fit a white-box model to a recording, with honest errors, and test it on data it has not seen."""
+    from labhil.report.study import fit_study, load_material
+    from labhil.report.text import show_fit
+
+    material = load_material(recording, rig, test, holdout)
+    with status() as say:
+        result = fit_study(
+            material, terms=split_names(names), start=model, estimator=estimator, window=window, progress=say
+        )
+    show_fit(result.fit, results_console())
+    if json_path is not None:
+        write_json(result.json, json_path)
+
+
+@app.command(epilog="Example: labhil diagnose run.mcap --test test.mcap --baseline viscous_friction --plot d.png")
+def diagnose(
+    recording: Annotated[Path, typer.Argument(help="A recording (.mcap).")],
+    *,
+    rig: Annotated[Path | None, typer.Option(help="Rig file; default: the recording's own.")] = None,
+    model: Annotated[Path | None, typer.Option(help="A fit that stands for your simulation (JSON).")] = None,
+    baseline: Annotated[str | None, typer.Option(help="Terms that your simulation has: a,b,…")] = None,
+    test: Annotated[Path | None, typer.Option(help="A separate recording to judge on.")] = None,
+    holdout: Annotated[float, typer.Option(help="Share to hold out at the end, without --test.")] = 0.3,
+    plot: Annotated[Path | None, typer.Option(help="Draw it here (PNG).")] = None,
+    json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
+    exit_code: Annotated[bool, typer.Option("--exit-code", help="End with 1 when there is a mismatch.")] = False,
+) -> None:
+    """Say where a model and a recording disagree, what physics is missing, and how much better it is with it."""
+    from labhil.report.study import diagnose_study, load_material
+    from labhil.report.text import show_diagnosis
+
+    material = load_material(recording, rig, test, holdout)
+    with status() as say:
+        result = diagnose_study(material, baseline=split_names(baseline), reference=model, progress=say)
+    show_diagnosis(result.diagnosis, results_console())
+    if json_path is not None:
+        write_json(result.json, json_path)
+    if plot is not None:
+        from labhil.report.plots import diagnosis_plot
+
+        diagnosis_plot(result.diagnosis, material.judge, plot)
+    if exit_code and result.diagnosis.verdict != "no_mismatch":
+        raise typer.Exit(1)
+
+
+@app.command(epilog="Example: labhil demo --seed 7")
+def demo(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where recordings and plots stay.")] = Path("labhil-demo"),
+    seed: Annotated[int | None, typer.Option(help="Of the concealed physics; default: drawn afresh.")] = None,
+) -> None:
+    """Do the main job without hardware: record a twin that conceals physics, find it, show the better fit."""
+    from labhil.campaign.demo import run_demo
+
+    with status() as say:
+        run_demo(out, seed, say)
+
+
+@contextmanager
+def status() -> Iterator[Callable[[str], None]]:
+    """Show what is being done on stderr: a line that changes on a terminal, lines elsewhere."""
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda text: console.print(text, markup=False, highlight=False, soft_wrap=True)
+        return
+    with console.status("starting") as line:
+        yield lambda text: line.update(text)
+
+
+def results_console() -> Any:
+    """A console for results on stdout: as wide as the terminal, wide enough for a table elsewhere."""
+    from rich.console import Console
+
+    console = Console()
+    return console if console.is_terminal else Console(width=120)

@@ -36,6 +36,7 @@ class DeviceRun:
         self, bus: Bus, plan: DevicePlan, device: ConnectedDevice, duration: float, changed: threading.Event
     ) -> None:
         self.plan = plan
+        self.speed = device.speed
         self.elapsed = 0.0
         self.error: LabhilError | None = None
         self.heard_at = time.monotonic()

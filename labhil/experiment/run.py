@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
@@ -57,8 +57,9 @@ class Progress:
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """What came of a run. ``path`` is None when nothing was recorded; ``duration`` is in s.
+    """What came of a run. ``path`` is None when nothing was recorded.
 
+    ``duration`` (s) and the rates of ``streams`` (Hz) are measured, in seconds of the devices' worlds.
     ``error`` is why it came to grief, None when all went well; ``reason`` says either in words.
     """
 
@@ -153,7 +154,7 @@ class _Run:
                 self._become(RunState.STARTING, "starting")
                 self._start(bus, twins, subscriptions)
                 self._become(RunState.RUNNING, "all devices are connected")
-                self._follow()
+                self._follow(recorder)
             except LabhilError as error:
                 self._error = error
             finally:
@@ -162,7 +163,7 @@ class _Run:
             self._become(RunState.FAILED if self._error else RunState.FINISHED, reason)
             subscriptions.close()
             status = self._error.exit_status if self._error else 0
-            summary = recorder.finish(status, reason)
+            summary = recorder.finish(str(status), reason)
         return self._result(summary, status, reason)
 
     # starting
@@ -193,12 +194,11 @@ class _Run:
         self._refuse_interruption()
         return address
 
-    def _attachments(self) -> dict[str, tuple[str, bytes]]:
-        experiment = self._plan.experiment
-        attachments = {"experiment.toml": ("application/toml", experiment.public_text().encode())}
+    def _attachments(self) -> dict[str, bytes]:
+        attachments = {"experiment.toml": self._plan.experiment.public_text().encode()}
         for index, device in enumerate(self._plan.devices):
             name = "rig.toml" if index == 0 else f"rig.{device.name}.toml"
-            attachments[name] = ("application/toml", device.rig.text.encode())
+            attachments[name] = device.rig.text.encode()
         return attachments
 
     def _metadata(self) -> dict[str, dict[str, str]]:
@@ -207,11 +207,13 @@ class _Run:
 
     # running
 
-    def _follow(self) -> None:
+    def _follow(self, recorder: Recorder) -> None:
         while not all(device.done for device in self._devices):
             self._changed.wait(PROGRESS_INTERVAL)
             self._changed.clear()
             self._refuse_interruption()
+            if recorder.failure is not None:
+                raise recorder.failure
             self._look_after_devices()
             self._report("")
 
@@ -268,8 +270,17 @@ class _Run:
             # an empty file would only look like a recording
             summary.path.unlink()
             return RunResult(None, status, 0.0, (), reason, self._error)
-        return RunResult(summary.path, status, summary.duration, tuple(summary.streams), reason, self._error)
+        speeds = {device.plan.name: device.speed for device in self._devices}
+        streams = tuple(
+            replace(stream, rate=stream.rate / speeds.get(stream.device, 1.0)) for stream in summary.streams
+        )
+        return RunResult(summary.path, status, _duration(streams), streams, reason, self._error)
 
     def _kept(self) -> Path | None:
         part = self._path.with_name(self._path.name + ".part")
         return next((path for path in (self._path, part) if path.exists()), None)
+
+
+def _duration(streams: tuple[StreamSummary, ...]) -> float:
+    spans = [(s.samples + s.gaps - 1) / s.rate for s in streams if s.rate > 0]
+    return max(spans, default=0.0)

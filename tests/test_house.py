@@ -1,0 +1,96 @@
+"""The rules of the house: style, types, which room may import which, and what a process loads."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SCRIPTS = Path(sys.executable).parent
+
+CHECKS = {
+    "ruff check": [SCRIPTS / "ruff", "check", "."],
+    "ruff format": [SCRIPTS / "ruff", "format", "--check", "."],
+    "mypy": [SCRIPTS / "mypy"],
+    "import-linter": [SCRIPTS / "lint-imports", "--no-cache"],
+}
+
+ANALYSIS = ("numba", "scipy.optimize", "matplotlib", "statsmodels")
+ACQUISITION = ("zenoh", "serial", "labhil.bus", "labhil.service", "labhil.experiment", "labhil.plants")
+
+
+@pytest.mark.parametrize("name", CHECKS)
+@pytest.mark.timeout(300)
+def test_the_tree_is_in_order(name: str) -> None:
+    command = [str(part) for part in CHECKS[name]]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{name}:\n{done.stdout}{done.stderr}"
+
+
+def test_nothing_called_drivers_lands_in_an_installation(tmp_path: Path) -> None:
+    for name in ("drivers", "sim_drivers"):
+        done = isolated(f"import {name}", tmp_path)
+        assert "ModuleNotFoundError" in done.stderr
+
+
+def test_a_run_plan_loads_nothing_of_the_analysis(tmp_path: Path) -> None:
+    code = (
+        "import labhil.experiment.run, labhil.experiment.show\n"
+        "from importlib.resources import files\n"
+        "from labhil.experiment.experiment import load_experiment\n"
+        "from labhil.experiment.plan import make_plan\n"
+        "make_plan(load_experiment(files('labhil.experiment') / 'examples' / 'ball_beam_test.toml'))\n"
+    )
+    assert loaded(code, ANALYSIS, tmp_path) == []
+
+
+def test_a_host_loads_nothing_of_the_analysis(tmp_path: Path) -> None:
+    code = "import labhil.service.host, labhil.plugins\nlabhil.plugins.load_driver('ball_beam')\n"
+    assert loaded(code, ANALYSIS, tmp_path) == []
+
+
+def test_the_analysis_loads_no_bus_and_no_device(tmp_path: Path) -> None:
+    rooms = ("recording", "physics", "identify", "diagnose", "report")
+    names = [name for room in rooms for name in modules_of(f"labhil.{room}")]
+    assert loaded(f"import {', '.join(names)}", ACQUISITION, tmp_path) == []
+
+
+def test_the_command_line_itself_loads_neither(tmp_path: Path) -> None:
+    assert loaded("import labhil.cli", (*ANALYSIS, *ACQUISITION, "numpy"), tmp_path) == []
+
+
+def test_names_of_plugins_are_listed_without_importing_them(tmp_path: Path) -> None:
+    code = "import labhil.plugins as p\nassert p.names(p.DRIVERS) and p.names(p.TWINS)\n"
+    assert loaded(code, ("labhil_ball_beam", "labhil_sim_ball_beam"), tmp_path) == []
+
+
+def modules_of(package: str) -> list[str]:
+    """Return the names of a package and the modules in it, without importing them."""
+    spec = importlib.util.find_spec(package)
+    assert spec is not None
+    directories = [Path(place) for place in spec.submodule_search_locations or []]
+    files = sorted(file for directory in directories for file in directory.glob("*.py"))
+    return [package, *(f"{package}.{file.stem}" for file in files if file.stem != "__init__")]
+
+
+def loaded(code: str, suspects: tuple[str, ...], directory: Path) -> list[str]:
+    """Run code in a process of its own; return which of the suspects it loaded."""
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", f"{code}\nimport sys\nprint(*sorted(sys.modules), sep='\\n')"],
+        cwd=directory,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return [name for name in done.stdout.split() if name in suspects]
+
+
+def isolated(code: str, directory: Path) -> subprocess.CompletedProcess[str]:
+    """Run code with nothing on the path but what is installed."""
+    command = [sys.executable, "-I", "-c", code]
+    return subprocess.run(command, cwd=directory, capture_output=True, text=True, check=False)
