@@ -8,6 +8,9 @@ from __future__ import annotations
 ALL_STREAMS = "lab/*/*"
 """What a recorder subscribes: every stream and every event of every device."""
 
+ALL_SCHEMAS = "lab/*/@schema/*"
+"""Where each publisher says what its stream is, before the first sample; later it answers there."""
+
 ALL_LIVE = "lab/*/@live"
 """The liveliness tokens of all devices."""
 
@@ -46,6 +49,6 @@ def event_key(device: str) -> str:
 
 
 def split_key(key: str) -> tuple[str, str]:
-    """Return device and stream of a key that ``ALL_STREAMS`` matched."""
-    _, device, stream = key.split("/")
-    return device, stream
+    """Return device and stream of a key that ``ALL_STREAMS`` or ``ALL_SCHEMAS`` matched."""
+    parts = key.split("/")
+    return parts[1], parts[-1]

@@ -46,12 +46,14 @@ class StreamPublisher:
         self.error: BusError | None = None
         self._queue: queue.Queue[list[bytes] | None] = queue.Queue(depth)
         self._closing = threading.Event()
+        self._session = bus.session
         key = stream_key(device, stream.name)
         self._publisher = bus.session.declare_publisher(
             key, congestion_control=zenoh.CongestionControl.BLOCK, priority=zenoh.Priority.DATA
         )
-        reply = schema_reply(self.codec, metadata or {})
-        self._schema = serve(bus, schema_key(device, stream.name), lambda _: reply)
+        self._reply = schema_reply(self.codec, metadata or {})
+        self._schema_key = schema_key(device, stream.name)
+        self._schema = serve(bus, self._schema_key, lambda _: self._reply)
         self._thread = threading.Thread(target=self._run, name=f"publish {key}")
         self._thread.start()
 
@@ -84,16 +86,26 @@ class StreamPublisher:
 
     def _run(self) -> None:
         self._wait_for_a_listener()
+        told = False
         while (payloads := self._queue.get()) is not None:
             if self.error is not None:
                 self.overflows += len(payloads)
                 continue
             try:
+                if not told:
+                    self._tell_schema()
+                    told = True
                 for payload in payloads:
                     self._publisher.put(payload)
             except zenoh.ZError as error:
                 self.error = BusError(f"{self._publisher.key_expr}: samples could not be published: {error}")
                 self.overflows += len(payloads)
+
+    def _tell_schema(self) -> None:
+        """Say what the stream is before its first sample: who comes later asks, and may come too late."""
+        self._session.put(
+            self._schema_key, json.dumps(self._reply), congestion_control=zenoh.CongestionControl.BLOCK
+        )
 
     def _wait_for_a_listener(self) -> None:
         """A subscriber elsewhere is known only some milliseconds after the session was opened."""
