@@ -14,6 +14,9 @@ ALL_SCHEMAS = "lab/*/@schema/*"
 ALL_LIVE = "lab/*/@live"
 """The liveliness tokens of all devices."""
 
+ARRIVED = "lab/@arrived"
+"""Where every subscription answers; the answer comes after all that was sent to it before the question."""
+
 EVENT = "event"
 SETPOINT = "setpoint"
 

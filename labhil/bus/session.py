@@ -5,16 +5,19 @@ from __future__ import annotations
 import json
 import socket
 import time
+from contextlib import suppress
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Self
 
 import zenoh
 
+from labhil.bus.keys import ARRIVED
 from labhil.errors import BusError
 
 CONNECT_TIMEOUT_MS = 5000
 BLOCKED_LINK_CLOSES_AFTER_US = 60_000_000  # a reader that stalls for less loses nothing
+ARRIVAL_TIMEOUT = 2.0  # s
 ATTEMPTS = 5
 ACQUAINTANCE = 1.0
 """Seconds after which the peers that gossip tells of are known."""
@@ -34,9 +37,17 @@ class Bus:
         return time.monotonic() < self.opened + ACQUAINTANCE
 
     def close(self) -> None:
-        """Leave the bus; safe to call twice."""
-        if not self.session.is_closed():
-            self.session.close()
+        """Leave the bus once all that was published has arrived; safe to call twice."""
+        if self.session.is_closed():
+            return
+        self._wait_for_arrival()
+        self.session.close()
+
+    def _wait_for_arrival(self) -> None:
+        """Closing a session throws away what still waits to be sent, so let the question go after it."""
+        with suppress(zenoh.ZError):  # a peer that does not answer in time must not keep us here
+            for _ in self.session.get(ARRIVED, target=zenoh.QueryTarget.ALL, timeout=ARRIVAL_TIMEOUT):
+                continue
 
     def __enter__(self) -> Self:
         return self

@@ -9,6 +9,7 @@ from typing import Self
 
 import zenoh
 
+from labhil.bus.keys import ARRIVED
 from labhil.bus.session import Bus
 
 CHANNEL_DEPTH = 65536
@@ -28,6 +29,11 @@ class Subscription:
         self.error: Exception | None = None
         self._on_samples = on_samples
         self._subscriber = bus.session.declare_subscriber(key, zenoh.handlers.FifoChannel(CHANNEL_DEPTH))
+        # answered where samples are received, so never before one that was sent earlier
+        answer: zenoh.handlers.Callback[zenoh.Query] = zenoh.handlers.Callback(
+            lambda query: query.reply(ARRIVED, b""), indirect=False
+        )
+        self._arrived = bus.session.declare_queryable(ARRIVED, answer)
         # undeclaring is refused while a thread waits in the subscriber itself, not in its handler
         self._handler = self._subscriber.handler
         self._thread = threading.Thread(target=self._run, name=f"subscribe {key}")
@@ -36,6 +42,7 @@ class Subscription:
     def close(self) -> None:
         """End the subscription; safe to call twice, but not from the callback."""
         if self._thread.is_alive():
+            self._arrived.undeclare()
             self._subscriber.undeclare()
             self._thread.join()
 
