@@ -259,7 +259,9 @@ def fit(
         write_json(result.json, json_path)
 
 
-@app.command(epilog="Example: labhil diagnose run.mcap --test test.mcap --baseline viscous_friction --plot d.png")
+@app.command(
+    epilog="Example: labhil diagnose run.mcap --test test.mcap --baseline viscous_friction --plot d.png"
+)
 def diagnose(
     recording: Annotated[Path, typer.Argument(help="A recording (.mcap).")],
     *,
@@ -270,9 +272,11 @@ def diagnose(
     holdout: Annotated[float, typer.Option(help="Share to hold out at the end, without --test.")] = 0.3,
     plot: Annotated[Path | None, typer.Option(help="Draw it here (PNG).")] = None,
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
-    exit_code: Annotated[bool, typer.Option("--exit-code", help="End with 1 when there is a mismatch.")] = False,
+    exit_code: Annotated[
+        bool, typer.Option("--exit-code", help="End with 1 when there is a mismatch.")
+    ] = False,
 ) -> None:
-    """Say where a model and a recording disagree, what physics is missing, and how much better it is with it."""
+    """Say where a model and a recording disagree, what physics is missing, and how much it helps."""
     from labhil.report.study import diagnose_study, load_material
     from labhil.report.text import show_diagnosis
 
@@ -292,7 +296,9 @@ def diagnose(
 
 @app.command(epilog="Example: labhil demo --seed 7")
 def demo(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where recordings and plots stay.")] = Path("labhil-demo"),
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where recordings and plots stay.")] = Path(
+        "labhil-demo"
+    ),
     seed: Annotated[int | None, typer.Option(help="Of the concealed physics; default: drawn afresh.")] = None,
 ) -> None:
     """Do the main job without hardware: record a twin that conceals physics, find it, show the better fit."""
@@ -312,7 +318,7 @@ def status() -> Iterator[Callable[[str], None]]:
         yield lambda text: console.print(text, markup=False, highlight=False, soft_wrap=True)
         return
     with console.status("starting") as line:
-        yield lambda text: line.update(text)
+        yield line.update
 
 
 def results_console() -> Any:

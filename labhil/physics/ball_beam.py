@@ -133,10 +133,10 @@ class BallBeamModel:
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
     ) -> Mapping[str, FloatArray]:
         """Ball position and velocity along the simulation, and the input with its rate."""
-        motion, sine, beam = self._trajectory(theta, record, windows, states)
-        nodes = record.t + self._value(theta, "time_delay.delay")
-        sine, beam = (np.interp(record.t, nodes, signal) for signal in (sine, beam))
-        rate = np.gradient(beam, record.t)
+        motion, angle = self._trajectory(theta, record, windows, states)
+        angle = np.interp(record.t, record.t + self._value(theta, "time_delay.delay"), angle)
+        sine = self._ratio(theta) * np.sin(angle)
+        rate = np.gradient(np.arcsin(np.clip(sine, -1.0, 1.0)), record.t)
         u = record.inputs[:, 0]
         return {
             "ball_position": motion[:, 0],
@@ -201,17 +201,15 @@ class BallBeamModel:
 
     def _trajectory(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(x, v) of all windows (N, 2); sin β and β of every sample (n,), not yet delayed."""
-        u = self._effective_input(theta, record)
-        ratio = self._ratio(theta)
-        sine = np.clip(ratio * np.sin(u), -0.999, 0.999) if self.linkage else np.sin(u)
-        beam = np.arcsin(sine) if self.linkage else u
+    ) -> tuple[FloatArray, FloatArray]:
+        """(x, v) of all windows (N, 2); the crank's effective angle at every sample (n,), not yet delayed."""
+        angle = self._effective_input(theta, record)
         nodes = record.t + self._value(theta, "time_delay.delay")
+        tilts = rolling.stretches(nodes, angle, self._ratio(theta))
         out = np.empty((len(windows.rows), 2))
         k = self._kernel(theta)
-        rolling.simulate(record.t, nodes, sine, beam, windows.first, windows.last, states, k, out)
-        return out, sine, beam
+        rolling.simulate(record.t, nodes, tilts, windows.first, windows.last, states, k, out)
+        return out, angle
 
     def _ratio(self, theta: FloatArray) -> float:
         if "crank_radius" not in self.fixed and "crank_radius" not in self._index:

@@ -2,9 +2,9 @@
 
 Everything is divided by the effective mass M + J/R² (+ added inertia), so forces are accelerations
 here and the same kernel serves rigs whose mass is unknown. Equations 4.13 to 4.17 of the reference
-text, with its errata: the Stribeck exponent is negative, and −(J/R)·β̈ is kept. The beam's angle is
-straight between nodes, so β̇ is constant there and β̈ is an impulse at each node, which changes the
-velocity by −(J/R)/(M + J/R²)·Δβ̇.
+text, with its errata: the Stribeck exponent is negative, and −(J/R)·β̈ is kept. The crank turns
+straight between nodes, so β̇ jumps at each node, which changes the velocity by
+−(J/R)/(M + J/R²)·Δβ̇.
 
 Rest is an event: below break-away the ball holds still, the moment at which the drive exceeds the
 hold is solved exactly (the drive is straight in time), and so is the moment at which a moving ball
@@ -12,6 +12,8 @@ comes to rest.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,17 +40,30 @@ from labhil.signals import FloatArray, IntArray
 ) = range(16)
 SIZE = 16
 
+
+class Tilt(NamedTuple):
+    """How the beam moves in a stretch: sin β = sine + slope·t + bend·t², β̇ = rate + turn·t."""
+
+    sine: float
+    slope: float
+    bend: float
+    rate: float
+    turn: float
+
+
 LONGEST_STEP = 0.02
 SHORTEST_STEP = 2e-4
 NARROW = 30.0
+INSTANT = 1e-7
 
 
 @compiled
-def drive(x: float, sine: float, rate: float, k: FloatArray) -> float:
-    """Acceleration by everything but friction, m/s²; ``rate`` is β̇."""
+def drive(x: float, sine: float, rate: float, turn: float, k: FloatArray) -> float:
+    """Acceleration by everything but friction, m/s²; ``rate`` is β̇ and ``turn`` is β̈."""
     return (
         k[GRAVITY] * sine
         + k[CENTRIFUGAL] * x * rate * rate
+        - k[ROLLING] * turn
         + k[CONSTANT]
         - x * (k[SPRING] + k[HARDENING] * x * x)
     )
@@ -73,40 +88,24 @@ def friction(x: float, v: float, side: float, k: FloatArray) -> float:
 
 
 @compiled
-def acceleration(x: float, v: float, side: float, sine: float, rate: float, k: FloatArray) -> float:
-    """Acceleration of a moving ball, m/s²."""
-    return drive(x, sine, rate, k) - friction(x, v, side, k)
+def acceleration(x: float, v: float, side: float, tilt: Tilt, t: float, k: FloatArray) -> float:
+    """Acceleration of a moving ball t s into a stretch of the beam's motion, m/s²."""
+    sine = tilt.sine + t * (tilt.slope + t * tilt.bend)
+    return drive(x, sine, tilt.rate + t * tilt.turn, tilt.turn, k) - friction(x, v, side, k)
 
 
 @compiled
 def runge_kutta(
-    x: float, v: float, side: float, sine: float, slope: float, rate: float, h: float, k: FloatArray
+    a1: float, x: float, v: float, side: float, tilt: Tilt, t: float, h: float, k: FloatArray
 ) -> tuple[float, float]:
-    """One classical fourth-order step of a moving ball; sin β starts at ``sine`` and grows with ``slope``."""
-    a1 = acceleration(x, v, side, sine, rate, k)
-    return runge_kutta_from(a1, x, v, side, sine, slope, rate, h, k)
-
-
-@compiled
-def runge_kutta_from(
-    a1: float,
-    x: float,
-    v: float,
-    side: float,
-    sine: float,
-    slope: float,
-    rate: float,
-    h: float,
-    k: FloatArray,
-) -> tuple[float, float]:
-    """The same, where the acceleration at the start is known."""
-    middle = sine + 0.5 * h * slope
+    """One classical fourth-order step of a moving ball from t to t + h; ``a1`` is its acceleration at t."""
+    middle = t + 0.5 * h
     v2 = v + 0.5 * h * a1
-    a2 = acceleration(x + 0.5 * h * v, v2, side, middle, rate, k)
+    a2 = acceleration(x + 0.5 * h * v, v2, side, tilt, middle, k)
     v3 = v + 0.5 * h * a2
-    a3 = acceleration(x + 0.5 * h * v2, v3, side, middle, rate, k)
+    a3 = acceleration(x + 0.5 * h * v2, v3, side, tilt, middle, k)
     v4 = v + h * a3
-    a4 = acceleration(x + h * v3, v4, side, sine + h * slope, rate, k)
+    a4 = acceleration(x + h * v3, v4, side, tilt, t + h, k)
     return x + h * (v + 2.0 * v2 + 2.0 * v3 + v4) / 6.0, v + h * (a1 + 2.0 * a2 + 2.0 * a3 + a4) / 6.0
 
 
@@ -128,16 +127,16 @@ def step_length(v: float, pull: float, k: FloatArray) -> float:
 
 @compiled
 def time_to_rest(
-    x: float, v: float, side: float, sine: float, slope: float, rate: float, h: float, k: FloatArray
+    a1: float, x: float, v: float, side: float, tilt: Tilt, t: float, h: float, k: FloatArray
 ) -> float:
     """When within a step of length h, that ends with the velocity reversed, it is zero (Illinois method)."""
     low, f_low = 0.0, v * side
-    high, f_high = h, runge_kutta(x, v, side, sine, slope, rate, h, k)[1] * side
+    high, f_high = h, runge_kutta(a1, x, v, side, tilt, t, h, k)[1] * side
     for _ in range(60):
         if high - low < 1e-10:
             break
         middle = (low * f_high - high * f_low) / (f_high - f_low)
-        f = runge_kutta(x, v, side, sine, slope, rate, middle, k)[1] * side
+        f = runge_kutta(a1, x, v, side, tilt, t, middle, k)[1] * side
         if abs(f) < 1e-10:
             return middle
         if f > 0.0:
@@ -150,12 +149,11 @@ def time_to_rest(
 
 
 @compiled
-def time_to_break_away(
-    x: float, sine: float, slope: float, rate: float, k: FloatArray
-) -> tuple[float, float]:
+def time_to_break_away(x: float, tilt: Tilt, t: float, k: FloatArray) -> tuple[float, float]:
     """When a ball at rest starts to move, and towards which side; infinity when the drive stays below."""
-    now = drive(x, sine, rate, k)
-    growth = k[GRAVITY] * slope
+    sine = tilt.sine + t * (tilt.slope + t * tilt.bend)
+    now = drive(x, sine, tilt.rate + t * tilt.turn, tilt.turn, k)
+    growth = k[GRAVITY] * (tilt.slope + 2.0 * t * tilt.bend)
     right, left = hold(x, 1.0, k), -hold(x, -1.0, k)
     if now > right:
         return 0.0, 1.0
@@ -170,36 +168,36 @@ def time_to_break_away(
 
 @compiled
 def advance(
-    x: float, v: float, side: float, sine: float, slope: float, rate: float, h: float, k: FloatArray
+    x: float, v: float, side: float, tilt: Tilt, start: float, end: float, k: FloatArray
 ) -> tuple[float, float, float]:
-    """Move the ball over a stretch of length h, s, through all its stops and starts.
+    """Move the ball from ``start`` to ``end`` s into a stretch, through all its stops and starts.
 
     ``side`` is +1 or −1 while it moves and 0 at rest. Returns the new x, v, side.
     """
-    t = 0.0
-    while t < h:
-        left = h - t
-        now = sine + slope * t
+    t = start
+    while t < end:
         if side == 0.0:
-            wait, towards = time_to_break_away(x, now, slope, rate, k)
-            if wait >= left:
+            wait, towards = time_to_break_away(x, tilt, t, k)
+            if wait >= end - t:
                 return x, 0.0, 0.0
-            t += wait
-            side = towards
+            if wait == 0.0:
+                side = towards
+            else:
+                t += wait + INSTANT
             continue
-        pull = acceleration(x, v, side, now, rate, k)
-        step = min(left, step_length(v, pull, k))
-        x_new, v_new = runge_kutta_from(pull, x, v, side, now, slope, rate, step, k)
+        pull = acceleration(x, v, side, tilt, t, k)
+        step = min(end - t, step_length(v, pull, k))
+        x_new, v_new = runge_kutta(pull, x, v, side, tilt, t, step, k)
         if v_new * side >= 0.0:
             x, v = x_new, v_new
             t += step
         elif v == 0.0:
-            # it had broken away by less than rounding: it rests for this step
+            # the drive that broke it away is gone again at once
             side = 0.0
-            t += step
+            t += min(step, SHORTEST_STEP)
         else:
-            stop = time_to_rest(x, v, side, now, slope, rate, step, k)
-            x, _ = runge_kutta(x, v, side, now, slope, rate, stop, k)
+            stop = time_to_rest(pull, x, v, side, tilt, t, step, k)
+            x, _ = runge_kutta(pull, x, v, side, tilt, t, stop, k)
             v, side = 0.0, 0.0
             t += stop
     return x, v, side
@@ -209,8 +207,7 @@ def advance(
 def simulate(
     t: FloatArray,
     node_t: FloatArray,
-    sine: FloatArray,
-    beam: FloatArray,
+    tilts: FloatArray,
     first: IntArray,
     last: IntArray,
     states: FloatArray,
@@ -219,47 +216,62 @@ def simulate(
 ) -> None:
     """Simulate windows of a recording; ``out`` (rows of all windows after each other, 2) gets x and v.
 
-    ``t`` (n,) are the times of the samples; the beam's angle ``beam`` (rad) and its ``sine`` are given
-    at the nodes ``node_t`` (n,), straight in between and at rest before the first and after the last.
-    Window w covers the samples first[w] … last[w] − 1 and begins with states[w] = (x, v).
+    ``t`` (n,) are the times of the samples; ``tilts`` (n + 1, 5) tell how the beam moves before,
+    between and after the nodes ``node_t`` (n,), see ``stretches``. Window w covers the samples
+    first[w] … last[w] − 1 and begins with states[w] = (x, v).
     """
     row = 0
     for w in range(first.size):
         x, v = states[w, 0], states[w, 1]
         side = np.sign(v)
         now = t[first[w]]
-        node = np.searchsorted(node_t, now, side="right") - 1
-        rate, slope, sine_now = segment(node_t, sine, beam, node, now)
+        node = np.searchsorted(node_t, now, side="right")
+        tilt = tilt_of(tilts, node)
         out[row, 0], out[row, 1] = x, v
         row += 1
         for i in range(first[w], last[w] - 1):
             end = t[i + 1]
             while now < end:
-                until = end
-                if node + 1 < node_t.size and node_t[node + 1] < end:
-                    until = node_t[node + 1]
-                x, v, side = advance(x, v, side, sine_now, slope, rate, until - now, k)
+                until = min(end, node_t[node]) if node < node_t.size else end
+                began = node_t[node - 1] if node > 0 else now
+                x, v, side = advance(x, v, side, tilt, now - began, until - began, k)
                 now = until
-                if node + 1 < node_t.size and node_t[node + 1] <= now:
+                if node < node_t.size and node_t[node] <= now:
                     node += 1
-                previous = rate
-                rate, slope, sine_now = segment(node_t, sine, beam, node, now)
-                if rate != previous:
-                    v -= k[ROLLING] * (rate - previous)
-                    side = np.sign(v)
+                    before = tilt.rate + tilt.turn * (until - began)
+                    tilt = tilt_of(tilts, node)
+                    if tilt.rate != before:
+                        v -= k[ROLLING] * (tilt.rate - before)
+                        side = np.sign(v)
             out[row, 0], out[row, 1] = x, v
             row += 1
 
 
 @compiled
-def segment(
-    node_t: FloatArray, sine: FloatArray, beam: FloatArray, node: int, now: float
-) -> tuple[float, float, float]:
-    """β̇, d(sin β)/dt and sin β at the time ``now`` in the segment that follows ``node`` (−1: before all)."""
-    if node < 0:
-        return 0.0, 0.0, sine[0]
-    if node + 1 >= node_t.size:
-        return 0.0, 0.0, sine[node_t.size - 1]
-    h = node_t[node + 1] - node_t[node]
-    slope = (sine[node + 1] - sine[node]) / h
-    return (beam[node + 1] - beam[node]) / h, slope, sine[node] + slope * (now - node_t[node])
+def tilt_of(tilts: FloatArray, node: int) -> Tilt:
+    """The motion of the beam in the stretch before ``node`` (n: after the last)."""
+    return Tilt(tilts[node, 0], tilts[node, 1], tilts[node, 2], tilts[node, 3], tilts[node, 4])
+
+
+def stretches(node_t: FloatArray, angle: FloatArray, ratio: float) -> FloatArray:
+    """How a beam moves whose crank turns straight from node to node, (n + 1, 5): the fields of ``Tilt``.
+
+    ``angle`` (n,) is the crank's, rad, and sin β = ratio·sin(angle). sin β is taken as the parabola
+    through the ends and the middle of each stretch, β̇ as the line between its ends. Without a
+    linkage, ``ratio`` is 1 and the angle is the beam's own. The beam rests before and after.
+    """
+    h = np.diff(node_t)
+    turning = np.diff(angle) / h
+    sine = ratio * np.sin(angle)
+    middle = ratio * np.sin(0.5 * (angle[:-1] + angle[1:]))
+    slope = (4.0 * middle - 3.0 * sine[:-1] - sine[1:]) / h
+    bend = 2.0 * (sine[:-1] + sine[1:] - 2.0 * middle) / h**2
+    lever = ratio * np.cos(angle) / np.sqrt(np.maximum(1.0 - sine**2, 1e-3))
+    rate, rate_end = lever[:-1] * turning, lever[1:] * turning
+    # the line is shifted to cover the way that the beam really goes, so that β̇² is right on average
+    shift = np.diff(np.arcsin(np.clip(sine, -1.0, 1.0))) / h - 0.5 * (rate + rate_end)
+    rate, rate_end = rate + shift, rate_end + shift
+    tilts = np.zeros((len(angle) + 1, 5))
+    tilts[0, 0], tilts[-1, 0] = sine[0], sine[-1]
+    tilts[1:-1] = np.column_stack([sine[:-1], slope, bend, rate, (rate_end - rate) / h])
+    return tilts

@@ -1,0 +1,159 @@
+"""The main job without hardware: record a twin that conceals physics, find it, show the better fit.
+
+The physics is drawn at random and written by the twin into a side file that is sealed by its SHA-256
+before the analysis begins. The analysis sees the recordings only; afterwards the file is opened and
+the truth stands beside the estimates.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.resources
+import json
+import random
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from labhil.diagnose.diagnosis import Diagnosis
+from labhil.errors import RunError
+from labhil.experiment.experiment import Experiment, load_experiment
+from labhil.experiment.run import Progress, RunResult, answer_path, run_experiment
+from labhil.report.plots import diagnosis_plot
+from labhil.report.results import write_json
+from labhil.report.study import diagnose_study, load_material
+from labhil.report.text import show_diagnosis
+
+SPEED = 6.0
+"""How much faster than real time the twin runs: a minute of its world in ten seconds."""
+
+Say = Callable[[str], None]
+Range = tuple[float, float]
+
+FRICTION: Mapping[str, Range] = {
+    "viscous_friction.coefficient": (0.15, 0.35),
+    "coulomb_friction.level": (0.06, 0.11),
+    "stribeck_friction.level": (0.03, 0.07),
+    "stribeck_friction.velocity": (0.01, 0.04),
+}
+ONE_MORE: Mapping[str, Mapping[str, Range]] = {
+    "dead_zone": {"dead_zone.left": (0.04, 0.10), "dead_zone.right": (0.04, 0.10)},
+    "time_delay": {"time_delay.delay": (0.03, 0.08)},
+    "constant_force": {"constant_force.force": (0.01, 0.04)},
+    "spring_force": {"spring_force.stiffness": (0.2, 0.6)},
+    "actuator_lag": {"actuator_lag.time_constant": (0.04, 0.10)},
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Secret:
+    """What the twin is made of: names of its effects and their parameters (SI)."""
+
+    terms: tuple[str, ...]
+    parameters: Mapping[str, float]
+
+
+def draw_secret(seed: int | None) -> Secret:
+    """Draw friction and one more effect; from the system's randomness without a seed."""
+    source: random.Random = random.SystemRandom() if seed is None else random.Random(seed)
+    extra = source.choice(sorted(ONE_MORE))
+    ranges = {**FRICTION, **ONE_MORE[extra]}
+    values = {name: source.uniform(low, high) for name, (low, high) in ranges.items()}
+    return Secret(("viscous_friction", "coulomb_friction", "stribeck_friction", extra), values)
+
+
+def run_demo(out: Path, seed: int | None, say: Say) -> None:
+    """Record, diagnose, open the envelope; recordings, plot and JSON stay in ``out``."""
+    console = Console()
+    console = console if console.is_terminal else Console(width=120)
+    secret = draw_secret(seed)
+    identify = _record("identify", out, secret, 1, say)
+    test = _record("test", out, secret, 2, say)
+    seals = {path: _seal(answer_path(path, "bench", several=False)) for path in (identify, test)}
+    console.print(f"Recorded {identify} and {test}.")
+    console.print(f"What the twin conceals is sealed: SHA-256 {seals[identify][:16]}…\n")
+    material = load_material(identify, test_path=test)
+    result = diagnose_study(material, progress=say)
+    show_diagnosis(result.diagnosis, console)
+    stem = identify.with_suffix("")
+    write_json(result.json, stem.with_suffix(".diagnosis.json"))
+    diagnosis_plot(result.diagnosis, material.judge, stem.with_suffix(".png"))
+    _open_envelope(answer_path(identify, "bench", several=False), seals[identify], result.diagnosis, console)
+    console.print(
+        f"\nDrawn: {stem.with_suffix('.png')}; all numbers: {stem.with_suffix('.diagnosis.json')}.\n"
+        f"Fit it again yourself: labhil fit {identify} --test {test} "
+        f"--terms {','.join(result.diagnosis.final_terms)}"
+    )
+
+
+def _record(which: str, out: Path, secret: Secret, noise_seed: int, say: Say) -> Path:
+    """Run one of the shipped experiments on a twin made of the secret; the recording's path."""
+    result = run_experiment(_experiment(which, secret, noise_seed), out, _speaker(which, say))
+    if result.path is None or result.exit_status != 0:
+        raise RunError(f"the {which} recording failed: {_reason(result)}")
+    return result.path
+
+
+def _reason(result: RunResult) -> str:
+    return str(result.error) if result.error is not None else result.reason
+
+
+def _experiment(which: str, secret: Secret, noise_seed: int) -> Experiment:
+    folder = importlib.resources.files("labhil.experiment") / "examples"
+    with importlib.resources.as_file(folder) as examples:
+        shipped = load_experiment(examples / f"ball_beam_{which}.toml")
+    bench = shipped.devices["bench"]
+    twin = bench.twin.model_copy(
+        update={"speed": SPEED, "seed": noise_seed, "terms": secret.terms, "set": dict(secret.parameters)}
+    )
+    return shipped.model_copy(update={"devices": {"bench": bench.model_copy(update={"twin": twin})}})
+
+
+def _speaker(which: str, say: Say) -> Callable[[Progress], None]:
+    """Turn a run's progress into lines, one per tenth of the way."""
+    last = [""]
+
+    def speak(progress: Progress) -> None:
+        tenth = int(10 * progress.elapsed / progress.duration) if progress.duration else 0
+        line = f"recording to {which}: {progress.state.value}, {10 * tenth} %"
+        if line != last[0]:
+            last[0] = line
+            say(line)
+
+    return speak
+
+
+def _seal(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _open_envelope(path: Path, seal: str, diagnosis: Diagnosis, console: Console) -> None:
+    """Show the truth beside the estimates."""
+    if _seal(path) != seal:
+        raise RunError(f"{path}: the envelope was changed after it was sealed")
+    truth = json.loads(path.read_text(encoding="utf-8"))
+    concealed = [name for name in truth["terms"] if name not in diagnosis.baseline_terms]
+    found = [item.term for item in diagnosis.missing]
+    console.print(
+        f"\nThe envelope is opened. Concealed: {', '.join(concealed)}. Found: {', '.join(found) or '—'}."
+    )
+    estimates = {row.name: row for row in diagnosis.final}
+    table = Table(box=None, pad_edge=False)
+    table.add_column("parameter")
+    for name in ("truth", "estimate", "99 % interval"):
+        table.add_column(name, justify="right")
+    table.add_column("")
+    names = [n for n in truth["parameters"] if n in estimates or n.partition(".")[0] in concealed]
+    for name in names:
+        value = float(truth["parameters"][name])
+        row = estimates.get(name)
+        if row is None:
+            table.add_row(name, f"{value:.5g}", "—", "", "not found")
+            continue
+        low, high = row.ci99
+        inside = "covered" if low <= value <= high else f"{abs(row.value - value) / row.std_error:.1f} σ off"
+        table.add_row(name, f"{value:.5g}", f"{row.value:.5g}", rf"\[{low:.5g}, {high:.5g}]", inside)
+    console.print(table)

@@ -1,0 +1,59 @@
+"""The catalogue of terms, for people and as JSON."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rich.console import Console
+
+from labhil.physics.rigs import BASELINE, GENERAL, MODELS
+from labhil.physics.terms import Term
+from labhil.rig import default_rig, kind_named
+
+
+def terms_by_rig(kind: str | None) -> dict[str, dict[str, Term]]:
+    """Terms of one rig kind, or of all; UnknownNameError lists the kinds."""
+    kinds = [kind_named(kind).name] if kind else list(MODELS)
+    found = {}
+    for name in kinds:
+        rig = default_rig(name)
+        found[name] = dict(MODELS[name](rig, rig.kind.inputs[0].name).terms)
+    return found
+
+
+def catalogue_json(kind: str | None) -> dict[str, Any]:
+    """The catalogue as plain JSON data."""
+    rigs = {
+        rig: {
+            "baseline": list(BASELINE[rig]),
+            "general": list(GENERAL[rig]),
+            "terms": [_term_json(term) for term in terms.values()],
+        }
+        for rig, terms in terms_by_rig(kind).items()
+    }
+    return {"schema": "labhil.terms/1", "rigs": rigs}
+
+
+def _term_json(term: Term) -> dict[str, Any]:
+    return {
+        "term": term.name,
+        "enters": term.enters.value,
+        "statement": term.statement,
+        "equation": term.equation,
+        "source": term.source,
+        "revealed_by": term.revealed_by,
+        "needs": list(term.needs),
+        "parameters": [{"name": p.name, "unit": p.unit, "neutral": p.neutral} for p in term.parameters],
+    }
+
+
+def show_catalogue(kind: str | None) -> None:
+    """Print the catalogue."""
+    console = Console(highlight=False)
+    for rig, terms in terms_by_rig(kind).items():
+        console.print(f"[bold]{rig}[/bold]  baseline: {', '.join(BASELINE[rig])}")
+        for term in terms.values():
+            console.print(f"\n[bold]{term.name}[/bold] ({term.enters.value}): {term.statement}")
+            console.print(f"  {term.equation}   — {term.source}", markup=False)
+            units = ", ".join(f"{p.name} [{p.unit}]" for p in term.parameters)
+            console.print(f"  {units}; revealed by {term.revealed_by}", markup=False)

@@ -1,0 +1,177 @@
+"""From recordings on disk to a result: load, split, fit or diagnose, and put it into words."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from labhil.diagnose.diagnosis import Diagnosis, diagnose
+from labhil.errors import RecordingError, UnknownNameError, UsageError
+from labhil.identify.fit import Fit, fit
+from labhil.identify.windows import split
+from labhil.physics.model import Model, Record, index_of, terms_named
+from labhil.physics.rigs import BASELINE, GENERAL, model_for, record_of
+from labhil.recording.reader import Recording, read_recording
+from labhil.report.results import Source, diagnosis_json, fit_json, terms_of, values_of
+from labhil.rig import RigFile, load_rig
+
+ESTIMATORS = ("nlse",)
+HOLDOUT = 0.3
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Material:
+    """What a result is made from: the rig's model, the data to learn from and the data to be judged on."""
+
+    rig: RigFile
+    model: Model
+    learn: Record
+    judge: Record
+    judge_is_test: bool
+    recordings: tuple[tuple[Recording, Record, str], ...]
+
+    def sources(self, learning: str) -> list[Source]:
+        """The recordings as results name them; ``learning`` is the role of the first."""
+        return [
+            Source(
+                path=str(recording.path),
+                sha256=recording.sha256,
+                rig=self.rig.kind.name,
+                samples=len(record),
+                duration=float(record.t[-1] - record.t[0]),
+                role=role or learning,
+            )
+            for recording, record, role in self.recordings
+        ]
+
+
+def load_material(
+    path: Path, rig_path: Path | None = None, test_path: Path | None = None, holdout: float = HOLDOUT
+) -> Material:
+    """Read a recording and what it is to be judged on.
+
+    Without ``test_path`` the last ``holdout`` of the recording is held out, after a gap of one scored
+    horizon. The rig file is the given one, or the one that the recording carries. Raises UsageError
+    (RecordingError, RigFileError) with what is missing.
+    """
+    if not 0.05 <= holdout <= 0.9:
+        raise UsageError(f"--holdout: expected a share from 0.05 to 0.9, found {holdout:g}")
+    recording = read_recording(path)
+    rig = _rig_of(recording, rig_path)
+    record = record_of(recording, rig.kind)
+    model = model_for(rig, record.input_names[0])
+    if test_path is None:
+        learn, judge = split(record, holdout, model.horizon)
+        _long_enough(learn, recording)
+        return Material(rig, model, learn, judge, False, ((recording, record, ""),))
+    test_recording = read_recording(test_path)
+    test = record_of(test_recording, rig.kind)
+    if test.input_names != record.input_names:
+        raise RecordingError(
+            f"{test_path}: expected the input {record.input_names[0]} as in {path}, "
+            f"found {test.input_names[0]}"
+        )
+    return Material(rig, model, record, test, True, ((recording, record, ""), (test_recording, test, "test")))
+
+
+def _rig_of(recording: Recording, rig_path: Path | None) -> RigFile:
+    if rig_path is not None:
+        return load_rig(rig_path)
+    if recording.rig is None:
+        raise RecordingError(f"{recording.path}: carries no rig file; give one with --rig RIG.toml")
+    return recording.rig
+
+
+def _long_enough(learn: Record, recording: Recording) -> None:
+    if len(learn) < 40:
+        raise RecordingError(
+            f"{recording.path}: too short to hold data out: {len(learn)} samples are left to learn from, "
+            "at least 40 are needed; give a separate recording with --test"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class FitResult:
+    """A fit with its JSON."""
+
+    fit: Fit
+    material: Material
+    json: Any
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosisResult:
+    """A diagnosis with its JSON."""
+
+    diagnosis: Diagnosis
+    material: Material
+    json: Any
+
+
+def fit_study(
+    material: Material,
+    *,
+    terms: Sequence[str] | None = None,
+    start: Path | None = None,
+    estimator: str = "nlse",
+    window: float | None = None,
+    progress: Progress = lambda text: None,
+) -> FitResult:
+    """Fit a model; ``start`` is a fit or diagnosis file to begin at."""
+    if estimator not in ESTIMATORS:
+        raise UnknownNameError("estimator", estimator, ESTIMATORS)
+    model = material.model
+    chosen = terms or (terms_of(start) if start is not None else GENERAL[model.kind])
+    terms_named(model, chosen)
+    began = time.perf_counter()
+    result = fit(
+        model,
+        material.learn,
+        chosen,
+        test=material.judge,
+        window=window,
+        start=values_of(start) if start is not None else None,
+        progress=progress,
+    )
+    seconds = time.perf_counter() - began
+    data = fit_json(result, material.sources("train"), model.kind, estimator, 0, seconds)
+    return FitResult(result, material, data)
+
+
+def diagnose_study(
+    material: Material,
+    *,
+    baseline: Sequence[str] | None = None,
+    reference: Path | None = None,
+    progress: Progress = lambda text: None,
+) -> DiagnosisResult:
+    """Diagnose; ``reference`` is a fit file that stands for the user's simulation, like ``[nominal]``."""
+    model = material.model
+    values = _reference_values(material, reference)
+    chosen = baseline or (terms_of(reference) if reference is not None else BASELINE[model.kind])
+    terms_named(model, chosen)
+    diagnosis = diagnose(
+        model,
+        material.learn,
+        material.judge,
+        heldout_is_test=material.judge_is_test,
+        baseline=chosen,
+        reference=values,
+        progress=progress,
+    )
+    return DiagnosisResult(diagnosis, material, diagnosis_json(diagnosis, material.sources("search")))
+
+
+def _reference_values(material: Material, reference: Path | None) -> Mapping[str, float] | None:
+    if reference is not None:
+        return values_of(reference)
+    known = index_of(material.model.parameters)
+    for name in material.rig.nominal:
+        if name not in known:
+            raise UnknownNameError(f"{material.rig.path}: [nominal] parameter", name, known)
+    return material.rig.nominal or None
