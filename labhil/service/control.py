@@ -29,6 +29,8 @@ from labhil.signals import Batch, Direction, Signal, Stream
 
 READ_TIMEOUT = 0.002
 """Longest wait for samples, s: how late a setpoint may reach the driver."""
+REACTION = 0.25
+"""Share of the sample period that the setpoint after a sample is waited for."""
 SILENCE = 1.0
 """How long a connected device may say nothing, s of the host's clock."""
 ANSWER_TIMEOUT = 1.0
@@ -112,6 +114,8 @@ class DeviceControl:
         self._heard_at = 0.0
         self._inbox: queue.SimpleQueue[Request] = queue.SimpleQueue()
         self._resources = ExitStack()
+        # a controller answers each sample with a setpoint: wait for it here, and not for the next sample
+        self._reaction_time = REACTION / (spec.stream.rate * info.speed)
         # what the device itself would wait for, in the host's time, four times over
         self._keep_alive = spec.command_timeout / info.speed / 4
 
@@ -153,7 +157,8 @@ class DeviceControl:
                         f"{self._config.address}: the device said nothing for {SILENCE:g} s; "
                         f"expected {self._driver.spec.stream.rate * self._info.speed:g} samples per second"
                     )
-                self._answer_requests(now)
+                answer_is_due = len(batch) > 0 and self.state is HostState.ACTIVE
+                self._answer_requests(now, self._reaction_time if answer_is_due else 0.0)
                 self._keep_watch(now, now - before)
                 before = now
         finally:
@@ -194,12 +199,14 @@ class DeviceControl:
 
     # the control thread again
 
-    def _answer_requests(self, now: float) -> None:
+    def _answer_requests(self, now: float, patience: float) -> None:
+        """Take what is in the inbox; where nothing is, wait up to ``patience`` s for the first."""
         while True:
             try:
-                request = self._inbox.get_nowait()
+                request = self._inbox.get(timeout=patience) if patience > 0 else self._inbox.get_nowait()
             except queue.Empty:
                 return
+            patience = 0.0
             try:
                 answer = self._obey(request, now)
             except CommandRefusedError as error:
