@@ -18,7 +18,7 @@ from labhil.identify.statistics import Estimate
 from labhil.identify.windows import noise_of
 from labhil.physics.model import Model, Record, index_of
 
-SEARCH_WINDOW_IN_HORIZONS = 0.75
+SEARCH_WINDOW_IN_HORIZONS = 0.375
 FIRST_WINDOW_IN_HORIZONS = 0.1875
 FALSE_ALARM = 5e-4
 UNEXPLAINED = 1.5
@@ -135,6 +135,7 @@ def diagnose(
         return _nothing_moves(data, base, heldout_is_test, began)
     found = search(data, base, progress)
     progress("scores, intervals and exclusion limits")
+    base = found.baseline
     before = score(model, base.theta, held_out, data.test_sigma)
     after = score(model, found.final.theta, held_out, data.test_sigma) if found.missing else before
     final, _, _ = table_of(found.final)

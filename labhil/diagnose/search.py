@@ -10,21 +10,31 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
 from labhil.diagnose.evidence import Evidence, bic, effective_samples, heldout_gain, search_p_value
 from labhil.identify.fit import Fitted, fit_terms
-from labhil.identify.problem import Point, Problem
+from labhil.identify.problem import Linearised, Point, Problem
 from labhil.identify.score import Score, score
 from labhil.physics.model import Model, Record, index_of, starts_of, terms_named
 from labhil.signals import FloatArray
 
 Progress = Callable[[str], None]
 
-CONFIRMED = 6
+LONGER = 2.0
+"""The last fit is on windows that are this much longer than those of the search: they know more."""
+
+COST = 2e-3
+"""Share of the residuals that each parameter has to promise."""
+
+CONFIRMED = 5
 """How many of the screened candidates are refitted at each step."""
+
+CONFIRMED_PAIRS = 3
+"""How many pairs of them, while the residuals are above the noise."""
 
 NEEDED_BIC = -10.0
 """Very strong evidence on the search data, in the usual reading of BIC."""
@@ -34,6 +44,12 @@ STILL_NOISY = 1.15
 
 WEIGHED = 2
 """How many rivals are tried in the place of each found term."""
+
+FINALISTS = 3
+"""How many of them are refitted to the end where much is still unexplained."""
+
+HOPELESS = 3.0
+"""A fit whose squared residuals stay above this many times those of the model to beat is not finished."""
 
 HOPEFUL = 0.5
 """A rival that promises to explain less than this share of what a term's absence leaves is not tried."""
@@ -97,23 +113,65 @@ class Found:
 def search(data: Data, baseline: Fitted, progress: Progress) -> Found:
     """Look for missing terms, beginning at a fitted baseline."""
     current, p_value, looks = baseline, 1.0, len(candidates(data.model, baseline.terms))
+    base = set(baseline.terms)
+    rivals: tuple[Rival, ...] = ()
     with ThreadPoolExecutor(os.cpu_count()) as executor:
         while True:
-            groups = candidates(data.model, current.terms)
-            progress(f"screening {len(groups)} candidates beside {', '.join(current.terms)}")
-            accepted, trials = _forward(data, current, groups, looks, executor, progress)
+            ranked, pairs = _ranked(data, current, executor, progress)
+            first = ranked[:CONFIRMED] + (pairs[:CONFIRMED_PAIRS] if current.noise > STILL_NOISY else [])
+            accepted, trials = _forward(data, current, first, looks, executor, progress)
             if current is baseline and trials:
                 effective = effective_samples(trials[0].solution.residuals)
                 p_value = search_p_value(baseline, trials[0], effective, looks)
             if accepted is None:
+                swapped, rivals = _swap(data, current, base, executor, progress)
+                if swapped is not current:
+                    current = swapped
+                    continue
+            if accepted is None and current.noise > STILL_NOISY:
+                accepted, _ = _forward(data, current, ranked[CONFIRMED:], looks, executor, progress)
+            if accepted is None:
                 break
             accepted = _refit(data, accepted, accepted.terms, (), thorough=True)
-            current = _prune(data, accepted, set(baseline.terms), progress)
-            progress(f"found {', '.join(t for t in current.terms if t not in baseline.terms)}")
-        current, rivals = _swap(data, current, set(baseline.terms), executor, progress)
-    kept = _steps_of(data, baseline, current, looks)
+            current = _prune(data, accepted, base, progress)
+            progress(f"found {', '.join(t for t in current.terms if t not in base)}")
+    progress("refitting on longer windows")
+    longer = replace(data, window=LONGER * data.window)
+    current = _prune(longer, lengthen(longer, current), base, progress)
+    baseline = lengthen(longer, baseline)
+    kept = _steps_of(longer, baseline, current, looks)
     rivals = tuple(r for r in rivals if r.instead_of in current.terms)
     return Found(baseline, current, kept, rivals, p_value, looks)
+
+
+def lengthen(data: Data, fitted: Fitted) -> Fitted:
+    """Refit on the data's windows what was fitted on other ones."""
+    return fit_terms(
+        data.model, data.search, fitted.terms, data.window, data.sigma, start=fitted.theta, new_terms=()
+    )
+
+
+def _ranked(
+    data: Data, current: Fitted, executor: Executor, progress: Progress
+) -> tuple[list[tuple[str, ...]], list[tuple[str, ...]]]:
+    """Absent terms, and pairs of them, those that promise most first.
+
+    Pairs count from the start: one effect that hides another (a constant force under dry friction)
+    would let a wrong third explain a little of both.
+    """
+    groups = candidates(data.model, current.terms)
+    progress(f"screening {len(groups)} candidates and their pairs beside {', '.join(current.terms)}")
+    screen = Screen.of(data, current)
+    columns = list(executor.map(screen.columns_of, groups))
+    single = [screen.promise([own], group) for own, group in zip(columns, groups, strict=True)]
+    pairs = [
+        (screen.promise([columns[i], columns[j]], joined), joined)
+        for i, j in combinations(range(len(groups)), 2)
+        for joined in [tuple(dict.fromkeys((*groups[i], *groups[j])))]
+        if not set(groups[i]) & set(groups[j])
+    ]
+    pairs.sort(key=lambda pair: -pair[0])
+    return [groups[i] for i in np.argsort(single)[::-1]], [group for _, group in pairs]
 
 
 def _forward(
@@ -124,22 +182,12 @@ def _forward(
     executor: Executor,
     progress: Progress,
 ) -> tuple[Fitted | None, list[Fitted]]:
-    """The best supported addition, or None, and all that was refitted, best first.
-
-    While the residuals are still above the noise the lower-ranked candidates get their turn too.
-    """
-    promises = list(executor.map(lambda group: promised(data, current, group), groups))
-    ranked = [groups[i] for i in np.argsort(promises)[::-1]]
-    seen: list[Fitted] = []
-    while ranked:
-        batch, ranked = ranked[:CONFIRMED], ranked[CONFIRMED:]
-        progress(f"refitting {', '.join(' + '.join(group) for group in batch)}")
-        trials = confirm(data, current, batch, executor)
-        seen += trials
-        accepted = _first_accepted(data, current, trials, looks)
-        if accepted is not None or current.noise < STILL_NOISY:
-            return accepted, trials
-    return None, seen
+    """The best supported addition, or None, and all that was refitted, best first."""
+    progress(f"refitting {', '.join(' + '.join(group) for group in groups)}")
+    trials = confirm(data, current, groups, executor)
+    if current.noise > STILL_NOISY:
+        trials = _finish_best(data, trials, executor)
+    return _first_accepted(data, current, trials, looks), trials
 
 
 def candidates(model: Model, present: Sequence[str]) -> list[tuple[str, ...]]:
@@ -154,39 +202,71 @@ def without(model: Model, terms: Sequence[str], term: str) -> tuple[str, ...]:
 
 
 def confirm(
-    data: Data, current: Fitted, groups: Sequence[tuple[str, ...]], executor: Executor
+    data: Data,
+    current: Fitted,
+    groups: Sequence[tuple[str, ...]],
+    executor: Executor,
+    hopeless: float = float("inf"),
 ) -> list[Fitted]:
     """Refit candidates, best first by BIC."""
 
     def refit(group: tuple[str, ...]) -> Fitted:
-        return _refit(data, current, (*current.terms, *group), group)
+        return _refit(data, current, (*current.terms, *group), group, hopeless=hopeless)
 
     trials = list(executor.map(refit, groups))
     effective = min((effective_samples(t.solution.residuals) for t in trials), default=1.0)
     return sorted(trials, key=lambda trial: bic(trial, effective))
 
 
-def promised(data: Data, current: Fitted, group: Sequence[str]) -> float:
-    """Share of the squared residuals that a group could explain, by projection.
+def _finish_best(data: Data, trials: Sequence[Fitted], executor: Executor) -> list[Fitted]:
+    """Refit the best few with a second chance for outlying windows, and order them anew."""
+    leading = trials[:FINALISTS]
+    finished = list(executor.map(lambda t: _refit(data, t, t.terms, (), thorough=True), leading))
+    effective = min(effective_samples(t.solution.residuals) for t in finished)
+    return sorted(finished, key=lambda trial: bic(trial, effective))
 
-    Its columns are slopes at neutral for parameters that act there, secants to their starts for the
-    rest; what the current model's own parameters and the windows' states explain is taken out first.
-    A group of more parameters has to promise more.
+
+@dataclass(frozen=True, slots=True)
+class Screen:
+    """What candidates promise beside a fitted model, by projection, without refitting.
+
+    Columns are slopes at neutral for parameters that act there, secants to their starts for the rest;
+    what the model's own parameters and the windows' states explain is taken out first.
     """
-    problem, point = current.problem, current.solution.point
-    residuals = current.solution.residuals
-    lin = problem.linearise(point, residuals)
-    own = problem.project(lin, np.column_stack([lin.by_parameters, residuals]))
-    basis, target = _orthonormal(own[:, :-1]), own[:, -1]
-    target = target - basis @ (basis.T @ target)
-    total = float(target @ target)
-    best = 0.0
-    for columns in _columns(data, current, group):
-        new = problem.project(lin, columns)
-        new = _orthonormal(new - basis @ (basis.T @ new))
-        best = max(best, float(np.sum((new.T @ target) ** 2)) / total if total > 0 else 0.0)
-    cost = sum(len(data.model.terms[name].parameters) for name in group)
-    return best - 2e-3 * cost
+
+    data: Data
+    current: Fitted
+    lin: Linearised
+    basis: FloatArray
+    target: FloatArray
+
+    @classmethod
+    def of(cls, data: Data, current: Fitted) -> Screen:
+        """Prepare the projection that all candidates share."""
+        problem = current.problem
+        residuals = current.solution.residuals
+        lin = problem.linearise(current.solution.point, residuals)
+        own = problem.project(lin, np.column_stack([lin.by_parameters, residuals]))
+        basis, target = _orthonormal(own[:, :-1]), own[:, -1]
+        return cls(data, current, lin, basis, target - basis @ (basis.T @ target))
+
+    def columns_of(self, group: Sequence[str]) -> FloatArray:
+        """The group's projected columns (N, k), at those of its starts that explain most."""
+        best, most = np.empty((len(self.target), 0)), -1.0
+        for columns in _columns(self.data, self.current, group):
+            new = self.current.problem.project(self.lin, columns)
+            new = _orthonormal(new - self.basis @ (self.basis.T @ new))
+            explained = float(np.sum((new.T @ self.target) ** 2))
+            if explained > most:
+                best, most = new, explained
+        return best
+
+    def promise(self, columns: Sequence[FloatArray], group: Sequence[str]) -> float:
+        """Share of the squared residuals that these columns explain; more parameters must promise more."""
+        new = columns[0] if len(columns) == 1 else _orthonormal(np.column_stack(columns))
+        total = float(self.target @ self.target)
+        share = float(np.sum((new.T @ self.target) ** 2)) / total if total > 0 else 0.0
+        return share - COST * sum(len(self.data.model.terms[name].parameters) for name in group)
 
 
 def _columns(data: Data, current: Fitted, group: Sequence[str]) -> list[FloatArray]:
@@ -229,7 +309,13 @@ def _orthonormal(columns: FloatArray) -> FloatArray:
 
 
 def _refit(
-    data: Data, current: Fitted, terms: Sequence[str], fresh: Sequence[str], *, thorough: bool = False
+    data: Data,
+    current: Fitted,
+    terms: Sequence[str],
+    fresh: Sequence[str],
+    *,
+    thorough: bool = False,
+    hopeless: float = float("inf"),
 ) -> Fitted:
     start = current.theta.copy()
     neutral = [i for i, p in enumerate(data.model.parameters) if p.name.partition(".")[0] not in terms]
@@ -247,6 +333,7 @@ def _refit(
         new_terms=fresh,
         iterations=25,
         thorough=thorough,
+        hopeless=hopeless,
     )
 
 
@@ -280,17 +367,25 @@ def _swap(
     """Try the best-screened rivals in the place of each found term; keep what is better."""
     rivals: list[Rival] = []
     for term in [t for t in current.terms if t not in base]:
-        reduced = _refit(data, current, without(data.model, current.terms, term), ())
+        reduced = _refit(
+            data,
+            current,
+            without(data.model, current.terms, term),
+            (),
+            hopeless=HOPELESS * current.solution.cost,
+        )
         absent = [group for group in candidates(data.model, reduced.terms) if term not in group]
         groups = [group for group in absent if group[-1] not in current.terms]
-        promises = list(executor.map(lambda group: promised(data, reduced, group), groups))  # noqa: B023
+        screen = Screen.of(data, reduced)
+        columns = list(executor.map(screen.columns_of, groups))
+        promises = [screen.promise([own], group) for own, group in zip(columns, groups, strict=True)]
         hopeful = [i for i in np.argsort(promises)[::-1][:WEIGHED] if promises[i] > HOPEFUL]
         ranked = [groups[i] for i in hopeful]
         if not ranked:
             continue
         progress(f"weighing {', '.join(group[-1] for group in ranked)} instead of {term}")
         effective = effective_samples(current.solution.residuals)
-        for trial in confirm(data, reduced, ranked, executor):
+        for trial in confirm(data, reduced, ranked, executor, HOPELESS * current.solution.cost):
             rival = trial.terms[-1]
             delta = bic(trial, effective) - bic(current, effective)
             if delta < NEEDED_BIC:
@@ -311,7 +406,13 @@ def _prune(data: Data, current: Fitted, base: set[str], progress: Progress) -> F
         progress(f"is {term} still needed")
         if any(term in data.model.terms[t].with_terms for t in current.terms):
             continue
-        reduced = _refit(data, current, without(data.model, current.terms, term), ())
+        reduced = _refit(
+            data,
+            current,
+            without(data.model, current.terms, term),
+            (),
+            hopeless=HOPELESS * current.solution.cost,
+        )
         effective = effective_samples(current.solution.residuals)
         if bic(reduced, effective) - bic(current, effective) < -NEEDED_BIC:
             current = reduced
@@ -322,7 +423,8 @@ def _steps_of(data: Data, baseline: Fitted, final: Fitted, looks: int) -> tuple[
     """Evidence for each term of the final model: what is lost when it alone is taken out."""
     kept = []
     for term in [t for t in final.terms if t not in baseline.terms]:
-        reduced = _refit(data, final, without(data.model, final.terms, term), ())
+        less = without(data.model, final.terms, term)
+        reduced = _refit(data, final, less, (), hopeless=HOPELESS * final.solution.cost)
         evidence, p_search = compare(data, reduced, final, data.judge(reduced.theta), looks)
         kept.append(Step((term,), evidence, p_search))
     return tuple(sorted(kept, key=lambda step: step.evidence.delta_bic))

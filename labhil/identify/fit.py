@@ -105,13 +105,15 @@ def fit_terms(
     new_terms: Sequence[str] | None = None,
     iterations: int = 60,
     thorough: bool = True,
+    hopeless: float = float("inf"),
 ) -> Fitted:
     """Fit a set of terms from several starts and keep the best.
 
     ``start`` is a vector to begin at (default: everything neutral), ``states`` initial states of the
     same windows under a model close by; the ``new_terms`` (default: all) begin at each of their own
     starts. Scouts go a few steps from each, the best goes on to the end; ``thorough`` gives outlying
-    windows a second chance there.
+    windows a second chance there. When no scout comes below the cost ``hopeless``, the best scout is
+    the answer.
     """
     begin = start_theta(model) if start is None else start
     windows = fit_windows(record, window)
@@ -120,7 +122,7 @@ def fit_terms(
     starts = _starts(model, record, begin, terms if new_terms is None else new_terms)
     for theta in starts:
         problem = Problem(model, record, windows, free, theta, sigma)
-        limit = SCOUT_ITERATIONS if len(starts) > 1 else iterations
+        limit = SCOUT_ITERATIONS if len(starts) > 1 or hopeless < float("inf") else iterations
         begin_at = problem.start() if states is None else Point(problem.start().z, states)
         settled = states is not None
         solution = least_squares(problem, begin_at, iterations=limit, settled=settled, thorough=False)
@@ -128,7 +130,7 @@ def fit_terms(
             best = problem, solution
     assert best is not None
     problem, solution = best
-    if thorough or not solution.converged:
+    if solution.cost <= hopeless and (thorough or not solution.converged):
         solution = least_squares(
             problem, solution.point, iterations=iterations, settled=True, thorough=thorough
         )

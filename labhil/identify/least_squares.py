@@ -14,7 +14,7 @@ import numpy as np
 from labhil.identify.problem import Linearised, Point, Problem
 from labhil.signals import FloatArray
 
-POLISH = 2
+POLISH = 1
 """Steps that each window takes by itself after a step of the parameters."""
 
 OUTLYING = 2.0
@@ -60,7 +60,12 @@ def least_squares(
     finds a lower one.
     """
     z = np.clip(start.z, problem.lower, problem.upper)
-    states = polish_states(problem, z, start.states) if settled else fit_states(problem, z, start.states)
+    # The measurement is a candidate too: a window that once was taken for a body at rest has no slope
+    # by which it would ever move again.
+    if settled:
+        states = polish_states(problem, z, start.states, problem.guess)
+    else:
+        states = fit_states(problem, z, start.states)
     states = rescue_states(problem, z, states) if thorough else states
     point = Point(z, states)
     residuals = problem.residuals(point)
@@ -150,12 +155,8 @@ def _parameter_step(problem: Problem, point: Point, lin: Linearised, damping: fl
 
 
 def polish_states(problem: Problem, z: FloatArray, *candidates: FloatArray) -> FloatArray:
-    """Begin each window at the best of these states and its measurement, and improve it by itself.
-
-    The measurement is always a candidate: a window that once was taken for a body at rest has no
-    slope by which it would ever move again.
-    """
-    choices = np.stack([*candidates, problem.guess])
+    """Begin each window at the best of these states, and improve it by itself."""
+    choices = np.stack(candidates)
     costs = np.stack([_window_costs(problem, z, candidate) for candidate in choices])
     begin = choices[np.argmin(costs, axis=0), np.arange(choices.shape[1])]
     return _damped_states(problem, z, begin, POLISH, np.ones(begin.shape[1], dtype=bool))

@@ -15,6 +15,7 @@ from labhil.physics.model import Model, Record, Windows
 from labhil.signals import FloatArray, IntArray
 
 STATE_STEP = 1e-5
+WORST = 1e7
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +90,9 @@ class Problem:
         """(simulated − measured) / noise, (N·c,)."""
         self.evaluations += 1
         simulated = self.model.simulate(self.theta(point.z), self.record, self.windows, point.states)
-        return np.asarray(((simulated - self._measured) / self.sigma).ravel())
+        residuals = ((simulated - self._measured) / self.sigma).ravel()
+        # a plant that runs away is wrong by enough; its square must still be a number
+        return np.clip(residuals, -WORST, WORST)
 
     def linearise(self, point: Point, residuals: FloatArray, *, central: bool = False) -> Linearised:
         """Differences of the simulation; ``central`` where the bounds leave room, else one-sided."""

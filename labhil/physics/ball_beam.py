@@ -24,6 +24,20 @@ DEFAULT_HORIZON = 4.0
 SPEED = 0.2
 SPAN = 0.2
 
+WAY_IN = (
+    "crank_radius",
+    "beam_length",
+    "backlash.gap",
+    "dead_zone.left",
+    "dead_zone.right",
+    "saturation.inverse_limit",
+    "rate_limit.inverse_rate",
+    "actuator_lag.time_constant",
+    "time_delay.delay",
+)
+REMEMBERED = 32
+WayIn = tuple[FloatArray, FloatArray, FloatArray]
+
 RIG_PARAMETERS = {
     "ball_mass": Parameter("ball_mass", "kg", 0.1, 1e-3, 10.0, starts=(0.2,)),
     "ball_radius": Parameter("ball_radius", "m", 0.01, 1e-3, 0.1, starts=(0.02,)),
@@ -104,6 +118,7 @@ class BallBeamModel:
         own = tuple(RIG_PARAMETERS[name] for name in self._estimated())
         self.parameters = own + tuple(p for term in self.terms.values() for p in term.parameters)
         self._index = index_of(self.parameters)
+        self._remembered: dict[tuple[float, ...], tuple[Record, WayIn]] = {}
 
     def _estimated(self) -> list[str]:
         names = ["acceleration_per_radian"] if self.per_unit_mass else []
@@ -203,13 +218,27 @@ class BallBeamModel:
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """(x, v) of all windows (N, 2); the crank's effective angle at every sample (n,), not yet delayed."""
-        angle = self._effective_input(theta, record)
-        nodes = record.t + self._value(theta, "time_delay.delay")
-        tilts = rolling.stretches(nodes, angle, self._ratio(theta))
+        nodes, angle, tilts = self._way_in(theta, record)
         out = np.empty((len(windows.rows), 2))
         k = self._kernel(theta)
         rolling.simulate(record.t, nodes, tilts, windows.first, windows.last, states, k, out)
         return out, angle
+
+    def _way_in(self, theta: FloatArray, record: Record) -> WayIn:
+        """Times of the nodes, crank's angle there, and the beam's motion; the last few are remembered.
+
+        Most simulations of a fit differ in friction or in initial states only.
+        """
+        key = (id(record), *(self._value(theta, name) for name in WAY_IN))
+        found = self._remembered.get(key)
+        if found is None or found[0] is not record:
+            angle = self._effective_input(theta, record)
+            nodes = record.t + self._value(theta, "time_delay.delay")
+            found = (record, (nodes, angle, rolling.stretches(nodes, angle, self._ratio(theta))))
+            if len(self._remembered) >= REMEMBERED:
+                self._remembered.clear()
+            self._remembered[key] = found
+        return found[1]
 
     def _ratio(self, theta: FloatArray) -> float:
         if "crank_radius" not in self.fixed and "crank_radius" not in self._index:
@@ -250,7 +279,6 @@ KERNEL_PLACES = {
     rolling.QUADRATIC: "quadratic_viscous_friction.coefficient",
     rolling.CUBIC: "cubic_viscous_friction.coefficient",
     rolling.ASYMMETRIC_VISCOUS: "friction_asymmetry.coefficient",
-    rolling.ASYMMETRIC_DRY: "friction_asymmetry.level",
     rolling.DRY_SLOPE: "position_dependent_friction.slope",
     rolling.CONSTANT: "constant_force.force",
     rolling.SPRING: "spring_force.stiffness",
@@ -267,7 +295,7 @@ def efforts(x: FloatArray, v: FloatArray, sine: FloatArray, rate: FloatArray, k:
         - x * (k[rolling.SPRING] + k[rolling.HARDENING] * x**2)
     )
     speed, side = np.abs(v), np.sign(v)
-    dry = k[rolling.COULOMB] + side * k[rolling.ASYMMETRIC_DRY] + k[rolling.DRY_SLOPE] * x
+    dry = k[rolling.COULOMB] + k[rolling.DRY_SLOPE] * x
     dry = dry + k[rolling.STRIBECK] * np.exp(-speed / k[rolling.STRIBECK_VELOCITY])
     viscous = v * (k[rolling.VISCOUS] + k[rolling.QUADRATIC] * speed + k[rolling.CUBIC] * v**2)
     moving = drive - side * dry - viscous - k[rolling.ASYMMETRIC_VISCOUS] * speed

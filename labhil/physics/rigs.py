@@ -8,9 +8,9 @@ import numpy as np
 
 from labhil.errors import RecordingError
 from labhil.physics.ball_beam import BallBeamModel
-from labhil.physics.model import Model, Record
+from labhil.physics.model import Model, Record, Windows, index_of, start_values, starts_of
 from labhil.recording.reader import Recording
-from labhil.rig import RigFile, RigKind
+from labhil.rig import RigFile, RigKind, default_rig
 
 MODELS: Mapping[str, Callable[[RigFile, str], Model]] = {"ball_beam": BallBeamModel}
 
@@ -34,6 +34,24 @@ GENERAL: Mapping[str, tuple[str, ...]] = {
 def model_for(rig: RigFile, input_name: str) -> Model:
     """The model of this rig, driven by the signal ``input_name``."""
     return MODELS[rig.kind.name](rig, input_name)
+
+
+def compile_kernels() -> None:
+    """Simulate a moment of every rig, so that the compiled kernels stand in their cache."""
+    for kind in MODELS:
+        rig = default_rig(kind)
+        model = model_for(rig, rig.kind.inputs[0].name)
+        t = np.linspace(0.0, 1.0, 30)
+        inputs, outputs = np.sin(t)[:, None], np.zeros((30, len(rig.kind.outputs)))
+        names = tuple(signal.name for signal in rig.kind.outputs)
+        record = Record(t, inputs, outputs, (rig.kind.inputs[0].name,), names, ("",) * len(names))
+        windows = Windows.of([(0, 30)])
+        states = model.initial_states(record, windows)
+        everything = start_values(model.parameters)
+        for values in starts_of(model, tuple(model.terms.values()), record):
+            for name, value in values.items():
+                everything[index_of(model.parameters)[name]] = value
+        model.simulate(everything, record, windows, states)
 
 
 def record_of(recording: Recording, kind: RigKind) -> Record:

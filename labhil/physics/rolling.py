@@ -32,13 +32,12 @@ from labhil.signals import FloatArray, IntArray
     QUADRATIC,
     CUBIC,
     ASYMMETRIC_VISCOUS,
-    ASYMMETRIC_DRY,
     DRY_SLOPE,
     CONSTANT,
     SPRING,
     HARDENING,
-) = range(16)
-SIZE = 16
+) = range(15)
+SIZE = 15
 
 
 class Tilt(NamedTuple):
@@ -52,7 +51,7 @@ class Tilt(NamedTuple):
 
 
 LONGEST_STEP = 0.02
-SHORTEST_STEP = 2e-4
+SHORTEST_STEP = 3e-4
 NARROW = 30.0
 INSTANT = 1e-7
 
@@ -70,9 +69,9 @@ def drive(x: float, sine: float, rate: float, turn: float, k: FloatArray) -> flo
 
 
 @compiled
-def hold(x: float, side: float, k: FloatArray) -> float:
-    """Largest drive towards ``side`` (±1) against which the ball stays at rest, m/s²; never negative."""
-    level = k[COULOMB] + k[STRIBECK] + k[STATIC] + side * k[ASYMMETRIC_DRY] + k[DRY_SLOPE] * x
+def hold(x: float, k: FloatArray) -> float:
+    """Largest drive either way against which the ball stays at rest, m/s²; never negative."""
+    level = k[COULOMB] + k[STRIBECK] + k[STATIC] + k[DRY_SLOPE] * x
     return max(level, 0.0)
 
 
@@ -80,7 +79,7 @@ def hold(x: float, side: float, k: FloatArray) -> float:
 def friction(x: float, v: float, side: float, k: FloatArray) -> float:
     """Deceleration by friction of a ball that moves towards ``side``, m/s²."""
     speed = abs(v)
-    dry = k[COULOMB] + side * k[ASYMMETRIC_DRY] + k[DRY_SLOPE] * x
+    dry = k[COULOMB] + k[DRY_SLOPE] * x
     if k[STRIBECK] != 0.0 and speed < NARROW * k[STRIBECK_VELOCITY]:
         dry += k[STRIBECK] * np.exp(-speed / k[STRIBECK_VELOCITY])
     viscous = v * (k[VISCOUS] + k[QUADRATIC] * speed + k[CUBIC] * v * v) + k[ASYMMETRIC_VISCOUS] * speed
@@ -154,15 +153,15 @@ def time_to_break_away(x: float, tilt: Tilt, t: float, k: FloatArray) -> tuple[f
     sine = tilt.sine + t * (tilt.slope + t * tilt.bend)
     now = drive(x, sine, tilt.rate + t * tilt.turn, tilt.turn, k)
     growth = k[GRAVITY] * (tilt.slope + 2.0 * t * tilt.bend)
-    right, left = hold(x, 1.0, k), -hold(x, -1.0, k)
-    if now > right:
+    level = hold(x, k)
+    if now > level:
         return 0.0, 1.0
-    if now < left:
+    if now < -level:
         return 0.0, -1.0
     if growth > 0.0:
-        return (right - now) / growth, 1.0
+        return (level - now) / growth, 1.0
     if growth < 0.0:
-        return (left - now) / growth, -1.0
+        return (-level - now) / growth, -1.0
     return np.inf, 0.0
 
 
