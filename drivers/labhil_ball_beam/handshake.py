@@ -55,16 +55,20 @@ def ask_hello(port: Port, decoder: Decoder, sender: Sender) -> Hello:
     heard = bytearray()
     began = time.monotonic()
     first_byte = began + ANSWER_WITHIN
-    for data in _asking(port, lambda: asked.add(sender.send(MessageType.HELLO_REQUEST)), ANSWER_WITHIN):
-        if data and not heard:
-            first_byte = time.monotonic()
-        heard += data[:64]
-        for frame in decoder.feed(data):
-            if frame.type == MessageType.HELLO and (hello := Hello.unpack(frame.payload)).answers in asked:
-                return hello
-        only_garbage = decoder.frames == 0 and time.monotonic() - first_byte > GARBAGE_FOR
-        if only_garbage or decoder.other_versions:
-            break
+    try:
+        for data in _asking(port, lambda: asked.add(sender.send(MessageType.HELLO_REQUEST)), ANSWER_WITHIN):
+            if data and not heard:
+                first_byte = time.monotonic()
+            heard += data[:64]
+            for frame in decoder.feed(data):
+                if frame.type == MessageType.HELLO and Hello.unpack(frame.payload).answers in asked:
+                    return Hello.unpack(frame.payload)
+            only_garbage = decoder.frames == 0 and time.monotonic() - first_byte > GARBAGE_FOR
+            if only_garbage or decoder.other_versions:
+                break
+    except ConnectError as error:
+        if decoder.frames or not heard:
+            raise ConnectError(f"{error}; expected HELLO: is this the port of the bench?") from error
     raise _nobody(port.address, decoder, bytes(heard))
 
 

@@ -35,8 +35,10 @@ class Port:
         """Return what has come in, waiting up to ``timeout`` s for the first byte."""
         try:
             if self._fd is not None:
-                select.select([self._fd], [], [], timeout)
-                return bytes(self._serial.read(CHUNK))
+                ready, _, _ = select.select([self._fd], [], [], timeout)
+                if ready and self._socket is not None:
+                    return _last_words(self._socket)
+                return bytes(self._serial.read(CHUNK)) if ready else b""
             self._serial.timeout = timeout
             first = bytes(self._serial.read(1))
             self._serial.timeout = 0
@@ -57,6 +59,14 @@ class Port:
             self._serial.close()
         if self._socket is not None:
             self._socket.close()
+
+
+def _last_words(connection: socket.socket) -> bytes:
+    """Read once: pyserial would read on and, where the other end has hung up, throw away what it had."""
+    data = connection.recv(CHUNK)
+    if not data:
+        raise ConnectionError("the other end has hung up")
+    return data
 
 
 def _open(address: str) -> serial.SerialBase:
