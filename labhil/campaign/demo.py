@@ -48,7 +48,6 @@ ONE_MORE: Mapping[str, Mapping[str, Range]] = {
     "time_delay": {"time_delay.delay": (0.03, 0.08)},
     "constant_force": {"constant_force.force": (0.01, 0.04)},
     "spring_force": {"spring_force.stiffness": (0.2, 0.6)},
-    "actuator_lag": {"actuator_lag.time_constant": (0.04, 0.10)},
 }
 
 

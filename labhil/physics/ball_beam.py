@@ -25,8 +25,6 @@ SPEED = 0.2
 SPAN = 0.2
 
 WAY_IN = (
-    "crank_radius",
-    "beam_length",
     "backlash.gap",
     "dead_zone.left",
     "dead_zone.right",
@@ -36,7 +34,7 @@ WAY_IN = (
     "time_delay.delay",
 )
 REMEMBERED = 32
-WayIn = tuple[FloatArray, FloatArray, FloatArray]
+LAG_PARTS = 4
 
 RIG_PARAMETERS = {
     "ball_mass": Parameter("ball_mass", "kg", 0.1, 1e-3, 10.0, starts=(0.2,)),
@@ -118,7 +116,7 @@ class BallBeamModel:
         own = tuple(RIG_PARAMETERS[name] for name in self._estimated())
         self.parameters = own + tuple(p for term in self.terms.values() for p in term.parameters)
         self._index = index_of(self.parameters)
-        self._remembered: dict[tuple[float, ...], tuple[Record, WayIn]] = {}
+        self._remembered: dict[tuple[float, ...], tuple[Record, input_path.Nodes]] = {}
 
     def _estimated(self) -> list[str]:
         names = ["acceleration_per_radian"] if self.per_unit_mass else []
@@ -141,15 +139,16 @@ class BallBeamModel:
 
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
         """Measured position in m, (N, 1)."""
-        x = self._trajectory(theta, record, windows, states)[0][:, 0]
+        x = self._trajectory(theta, record, windows, states)[:, 0]
         return self._sensor(theta, record, windows, x)[:, None]
 
     def coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
     ) -> Mapping[str, FloatArray]:
         """Ball position and velocity along the simulation, and the input with its rate."""
-        motion, angle = self._trajectory(theta, record, windows, states)
-        angle = np.interp(record.t, record.t + self._value(theta, "time_delay.delay"), angle)
+        motion = self._trajectory(theta, record, windows, states)
+        nodes, angle = self._way_in(theta, record)
+        angle = np.interp(record.t, nodes, angle)
         sine = self._ratio(theta) * np.sin(angle)
         rate = np.gradient(np.arcsin(np.clip(sine, -1.0, 1.0)), record.t)
         u = record.inputs[:, 0]
@@ -216,25 +215,25 @@ class BallBeamModel:
 
     def _trajectory(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """(x, v) of all windows (N, 2); the crank's effective angle at every sample (n,), not yet delayed."""
-        nodes, angle, tilts = self._way_in(theta, record)
+    ) -> FloatArray:
+        """x and v of all windows, (N, 2)."""
+        nodes, angle = self._way_in(theta, record)
         out = np.empty((len(windows.rows), 2))
         k = self._kernel(theta)
-        rolling.simulate(record.t, nodes, tilts, windows.first, windows.last, states, k, out)
-        return out, angle
+        rolling.simulate(
+            record.t, nodes, angle, self._ratio(theta), windows.first, windows.last, states, k, out
+        )
+        return out
 
-    def _way_in(self, theta: FloatArray, record: Record) -> WayIn:
-        """Times of the nodes, crank's angle there, and the beam's motion; the last few are remembered.
+    def _way_in(self, theta: FloatArray, record: Record) -> input_path.Nodes:
+        """Nodes of the crank's angle; the last few are remembered.
 
         Most simulations of a fit differ in friction or in initial states only.
         """
         key = (id(record), *(self._value(theta, name) for name in WAY_IN))
         found = self._remembered.get(key)
         if found is None or found[0] is not record:
-            angle = self._effective_input(theta, record)
-            nodes = record.t + self._value(theta, "time_delay.delay")
-            found = (record, (nodes, angle, rolling.stretches(nodes, angle, self._ratio(theta))))
+            found = (record, self._effective_input(theta, record))
             if len(self._remembered) >= REMEMBERED:
                 self._remembered.clear()
             self._remembered[key] = found
@@ -245,19 +244,22 @@ class BallBeamModel:
             return 1.0
         return self._value(theta, "crank_radius") / self._value(theta, "beam_length")
 
-    def _effective_input(self, theta: FloatArray, record: Record) -> FloatArray:
-        """The angle behind backlash, dead zone, saturation, rate limit and lag; the nodes bring the delay."""
-        u, t = np.ascontiguousarray(record.inputs[:, 0]), record.t
+    def _effective_input(self, theta: FloatArray, record: Record) -> input_path.Nodes:
+        """Nodes of the angle behind backlash, dead zone, saturation, rate limit, lag and delay."""
+        t, u = record.t, np.ascontiguousarray(record.inputs[:, 0])
         gap = self._value(theta, "backlash.gap")
         left, right = self._value(theta, "dead_zone.left"), self._value(theta, "dead_zone.right")
         inverse_limit = self._value(theta, "saturation.inverse_limit")
         inverse_rate = self._value(theta, "rate_limit.inverse_rate")
         time_constant = self._value(theta, "actuator_lag.time_constant")
-        u = input_path.backlash(u, gap) if gap else u
-        u = input_path.dead_zone(u, left, right) if left or right else u
-        u = input_path.saturation(u, inverse_limit) if inverse_limit else u
-        u = input_path.rate_limit(t, u, inverse_rate) if inverse_rate else u
-        return input_path.first_order_lag(t, u, time_constant) if time_constant else u
+        t, u = input_path.backlash(t, u, gap) if gap else (t, u)
+        t, u = input_path.dead_zone(t, u, left, right) if left or right else (t, u)
+        t, u = input_path.saturation(t, u, inverse_limit) if inverse_limit else (t, u)
+        t, u = input_path.rate_limit(t, u, inverse_rate) if inverse_rate else (t, u)
+        if time_constant:
+            t, u = input_path.refined(t, u, LAG_PARTS)
+            u = input_path.first_order_lag(t, u, time_constant)
+        return t + self._value(theta, "time_delay.delay"), u
 
     def _sensor(self, theta: FloatArray, record: Record, windows: Windows, x: FloatArray) -> FloatArray:
         cubic, gain = self._value(theta, "sensor_nonlinearity.cubic"), self._value(theta, "sensor_gain.gain")

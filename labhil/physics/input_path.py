@@ -1,7 +1,10 @@
-"""Effects between the command and the mechanism, shared by every rig; all act on sampled angles or volts.
+"""Effects between the command and the mechanism, shared by every rig; all act on angles or volts.
 
-Each walks once through the whole recording, so that what it remembers (a gap's side, a lag's state)
-comes from the whole past and not from the start of a window. Each returns a new array.
+A signal is given at nodes, straight in between: times ``t`` (n,) and values ``u`` (n,). Each effect
+returns new nodes: where it bends the signal between two samples, a node is added at that very moment,
+so that nothing depends on how a bend falls between samples. Each walks once through the whole
+recording, so that what it remembers (a gap's side, a lag's state) comes from the whole past and not
+from the start of a window.
 """
 
 from __future__ import annotations
@@ -11,60 +14,120 @@ import numpy as np
 from labhil.compiled import compiled
 from labhil.signals import FloatArray
 
-
-@compiled
-def backlash(u: FloatArray, gap: float) -> FloatArray:
-    """Play operator of full width ``gap`` (unit of u); begins in the middle of its play."""
-    y = np.empty_like(u)
-    half = 0.5 * gap
-    output = u[0]
-    for i in range(u.size):
-        output = min(max(output, u[i] - half), u[i] + half)
-        y[i] = output
-    return y
+Nodes = tuple[FloatArray, FloatArray]
 
 
 @compiled
-def dead_zone(u: FloatArray, left: float, right: float) -> FloatArray:
+def with_crossings(t: FloatArray, u: FloatArray, low: float, high: float) -> Nodes:
+    """Add nodes where the signal passes the levels ``low`` and ``high``."""
+    times, values = np.empty(3 * t.size), np.empty(3 * t.size)
+    count = 0
+    for i in range(t.size):
+        if i > 0:
+            up = u[i] > u[i - 1]
+            for j in range(2):
+                level = (low if j == 0 else high) if up else (high if j == 0 else low)
+                if (u[i - 1] - level) * (u[i] - level) < 0.0:
+                    share = (level - u[i - 1]) / (u[i] - u[i - 1])
+                    times[count], values[count] = t[i - 1] + share * (t[i] - t[i - 1]), level
+                    count += 1
+        times[count], values[count] = t[i], u[i]
+        count += 1
+    return times[:count], values[:count]
+
+
+@compiled
+def dead_zone(t: FloatArray, u: FloatArray, left: float, right: float) -> Nodes:
     """No output between −left and right, shifted beyond (eq. 4.18 of the reference text)."""
-    y = np.zeros_like(u)
-    for i in range(u.size):
-        if u[i] >= right:
-            y[i] = u[i] - right
-        elif u[i] <= -left:
-            y[i] = u[i] + left
-    return y
+    t, u = with_crossings(t, u, -left, right)
+    return t, np.maximum(u - right, 0.0) + np.minimum(u + left, 0.0)
 
 
 @compiled
-def saturation(u: FloatArray, inverse_limit: float) -> FloatArray:
+def saturation(t: FloatArray, u: FloatArray, inverse_limit: float) -> Nodes:
     """Clip to ±1/inverse_limit; zero means no limit."""
     if inverse_limit <= 0.0:
-        return u.copy()
+        return t, u
     limit = 1.0 / inverse_limit
-    return np.minimum(np.maximum(u, -limit), limit)
+    t, u = with_crossings(t, u, -limit, limit)
+    return t, np.minimum(np.maximum(u, -limit), limit)
 
 
 @compiled
-def rate_limit(t: FloatArray, u: FloatArray, inverse_rate: float) -> FloatArray:
+def backlash(t: FloatArray, u: FloatArray, gap: float) -> Nodes:
+    """Play operator of full width ``gap`` (unit of u); begins in the middle of its play."""
+    times, values = np.empty(2 * t.size), np.empty(2 * t.size)
+    half, output, count = 0.5 * gap, u[0], 0
+    for i in range(t.size):
+        moved = min(max(output, u[i] - half), u[i] + half)
+        if i > 0 and moved != output:
+            touch = output + half if moved > output else output - half
+            share = (touch - u[i - 1]) / (u[i] - u[i - 1])
+            if 0.0 < share < 1.0:
+                times[count], values[count] = t[i - 1] + share * (t[i] - t[i - 1]), output
+                count += 1
+        output = moved
+        times[count], values[count] = t[i], output
+        count += 1
+    return times[:count], values[:count]
+
+
+@compiled
+def rate_limit(t: FloatArray, u: FloatArray, inverse_rate: float) -> Nodes:
     """Follow u no faster than 1/inverse_rate per second; zero means as fast as it likes."""
-    y = u.copy()
     if inverse_rate <= 0.0:
-        return y
-    for i in range(1, u.size):
-        step = (t[i] - t[i - 1]) / inverse_rate
-        y[i] = min(max(u[i], y[i - 1] - step), y[i - 1] + step)
-    return y
+        return t, u
+    fastest = 1.0 / inverse_rate
+    times, values = np.empty(2 * t.size), np.empty(2 * t.size)
+    times[0], values[0] = t[0], u[0]
+    output, count = u[0], 1
+    for i in range(1, t.size):
+        h = t[i] - t[i - 1]
+        if h <= 0.0:
+            continue
+        slope = (u[i] - u[i - 1]) / h
+        behind = u[i - 1] - output
+        side = np.sign(behind) if behind != 0.0 else np.sign(slope)
+        closing = fastest - side * slope
+        if behind != 0.0 and 0.0 < abs(behind) < closing * h:
+            caught = abs(behind) / closing
+            output = u[i - 1] + slope * caught
+            times[count], values[count] = t[i - 1] + caught, output
+            count += 1
+            step = fastest * (h - caught)
+            output = min(max(u[i], output - step), output + step)
+        else:
+            output = min(max(u[i], output - fastest * h), output + fastest * h)
+        times[count], values[count] = t[i], output
+        count += 1
+    return times[:count], values[:count]
+
+
+@compiled
+def refined(t: FloatArray, u: FloatArray, parts: int) -> Nodes:
+    """Cut every stretch into equal parts: for what follows to bend the signal smoothly between samples."""
+    n = t.size
+    times, values = np.empty(parts * (n - 1) + 1), np.empty(parts * (n - 1) + 1)
+    for i in range(n - 1):
+        for j in range(parts):
+            share = j / parts
+            times[parts * i + j] = t[i] + share * (t[i + 1] - t[i])
+            values[parts * i + j] = u[i] + share * (u[i + 1] - u[i])
+    times[-1], values[-1] = t[n - 1], u[n - 1]
+    return times, values
 
 
 @compiled
 def first_order_lag(t: FloatArray, u: FloatArray, time_constant: float) -> FloatArray:
-    """Solve T·ẏ + y = u exactly for u that is straight between samples; begins settled at u[0]."""
+    """Solve T·ẏ + y = u exactly for u that is straight between nodes; begins settled at u[0]."""
     y = u.copy()
     if time_constant <= 0.0:
         return y
     for i in range(1, u.size):
         h = t[i] - t[i - 1]
+        if h <= 0.0:
+            y[i] = y[i - 1]
+            continue
         slope = (u[i] - u[i - 1]) / h
         decay = np.exp(-h / time_constant)
         y[i] = u[i] - slope * time_constant + (y[i - 1] - u[i - 1] + slope * time_constant) * decay

@@ -40,20 +40,35 @@ from labhil.signals import FloatArray, IntArray
 SIZE = 15
 
 
-class Tilt(NamedTuple):
-    """How the beam moves in a stretch: sin β = sine + slope·t + bend·t², β̇ = rate + turn·t."""
+class Crank(NamedTuple):
+    """How the crank turns in a stretch: straight from ``angle`` (rad) with ``turning`` (rad/s)."""
 
-    sine: float
-    slope: float
-    bend: float
-    rate: float
-    turn: float
+    angle: float
+    turning: float
+    ratio: float
 
 
 LONGEST_STEP = 0.02
 SHORTEST_STEP = 3e-4
 NARROW = 30.0
 INSTANT = 1e-7
+
+
+@compiled
+def beam(crank: Crank, t: float) -> tuple[float, float, float]:
+    """sin β, β̇ (rad/s) and β̈ (rad/s²) t s into a stretch, from sin β = ratio·sin γ."""
+    angle = crank.angle + t * crank.turning
+    sine = crank.ratio * np.sin(angle)
+    cosine = np.sqrt(max(1.0 - sine * sine, 1e-6))
+    rate = crank.ratio * np.cos(angle) * crank.turning / cosine
+    return sine, rate, (rate * rate - crank.turning * crank.turning) * sine / cosine
+
+
+@compiled
+def lever(angle: float, ratio: float) -> float:
+    """dβ/dγ where the crank stands at ``angle`` (rad)."""
+    sine = ratio * np.sin(angle)
+    return ratio * np.cos(angle) / np.sqrt(max(1.0 - sine * sine, 1e-6))
 
 
 @compiled
@@ -87,24 +102,24 @@ def friction(x: float, v: float, side: float, k: FloatArray) -> float:
 
 
 @compiled
-def acceleration(x: float, v: float, side: float, tilt: Tilt, t: float, k: FloatArray) -> float:
-    """Acceleration of a moving ball t s into a stretch of the beam's motion, m/s²."""
-    sine = tilt.sine + t * (tilt.slope + t * tilt.bend)
-    return drive(x, sine, tilt.rate + t * tilt.turn, tilt.turn, k) - friction(x, v, side, k)
+def acceleration(x: float, v: float, side: float, crank: Crank, t: float, k: FloatArray) -> float:
+    """Acceleration of a moving ball t s into a stretch, m/s²."""
+    sine, rate, turn = beam(crank, t)
+    return drive(x, sine, rate, turn, k) - friction(x, v, side, k)
 
 
 @compiled
 def runge_kutta(
-    a1: float, x: float, v: float, side: float, tilt: Tilt, t: float, h: float, k: FloatArray
+    a1: float, x: float, v: float, side: float, crank: Crank, t: float, h: float, k: FloatArray
 ) -> tuple[float, float]:
     """One classical fourth-order step of a moving ball from t to t + h; ``a1`` is its acceleration at t."""
-    middle = t + 0.5 * h
-    v2 = v + 0.5 * h * a1
-    a2 = acceleration(x + 0.5 * h * v, v2, side, tilt, middle, k)
-    v3 = v + 0.5 * h * a2
-    a3 = acceleration(x + 0.5 * h * v2, v3, side, tilt, middle, k)
+    sine, rate, turn = beam(crank, t + 0.5 * h)
+    x2, v2 = x + 0.5 * h * v, v + 0.5 * h * a1
+    a2 = drive(x2, sine, rate, turn, k) - friction(x2, v2, side, k)
+    x3, v3 = x + 0.5 * h * v2, v + 0.5 * h * a2
+    a3 = drive(x3, sine, rate, turn, k) - friction(x3, v3, side, k)
     v4 = v + h * a3
-    a4 = acceleration(x + h * v3, v4, side, tilt, t + h, k)
+    a4 = acceleration(x + h * v3, v4, side, crank, t + h, k)
     return x + h * (v + 2.0 * v2 + 2.0 * v3 + v4) / 6.0, v + h * (a1 + 2.0 * a2 + 2.0 * a3 + a4) / 6.0
 
 
@@ -126,16 +141,16 @@ def step_length(v: float, pull: float, k: FloatArray) -> float:
 
 @compiled
 def time_to_rest(
-    a1: float, x: float, v: float, side: float, tilt: Tilt, t: float, h: float, k: FloatArray
+    a1: float, x: float, v: float, side: float, crank: Crank, t: float, h: float, k: FloatArray
 ) -> float:
     """When within a step of length h, that ends with the velocity reversed, it is zero (Illinois method)."""
     low, f_low = 0.0, v * side
-    high, f_high = h, runge_kutta(a1, x, v, side, tilt, t, h, k)[1] * side
+    high, f_high = h, runge_kutta(a1, x, v, side, crank, t, h, k)[1] * side
     for _ in range(60):
         if high - low < 1e-10:
             break
         middle = (low * f_high - high * f_low) / (f_high - f_low)
-        f = runge_kutta(a1, x, v, side, tilt, t, middle, k)[1] * side
+        f = runge_kutta(a1, x, v, side, crank, t, middle, k)[1] * side
         if abs(f) < 1e-10:
             return middle
         if f > 0.0:
@@ -148,11 +163,14 @@ def time_to_rest(
 
 
 @compiled
-def time_to_break_away(x: float, tilt: Tilt, t: float, k: FloatArray) -> tuple[float, float]:
-    """When a ball at rest starts to move, and towards which side; infinity when the drive stays below."""
-    sine = tilt.sine + t * (tilt.slope + t * tilt.bend)
-    now = drive(x, sine, tilt.rate + t * tilt.turn, tilt.turn, k)
-    growth = k[GRAVITY] * (tilt.slope + 2.0 * t * tilt.bend)
+def time_to_break_away(x: float, crank: Crank, t: float, k: FloatArray) -> tuple[float, float]:
+    """When a ball at rest starts to move, and towards which side; infinity when the drive recedes.
+
+    The drive is taken to go on straight; whoever waits that long looks again.
+    """
+    sine, rate, turn = beam(crank, t)
+    now = drive(x, sine, rate, turn, k)
+    growth = k[GRAVITY] * crank.ratio * np.cos(crank.angle + t * crank.turning) * crank.turning
     level = hold(x, k)
     if now > level:
         return 0.0, 1.0
@@ -167,7 +185,7 @@ def time_to_break_away(x: float, tilt: Tilt, t: float, k: FloatArray) -> tuple[f
 
 @compiled
 def advance(
-    x: float, v: float, side: float, tilt: Tilt, start: float, end: float, k: FloatArray
+    x: float, v: float, side: float, crank: Crank, start: float, end: float, k: FloatArray
 ) -> tuple[float, float, float]:
     """Move the ball from ``start`` to ``end`` s into a stretch, through all its stops and starts.
 
@@ -176,7 +194,7 @@ def advance(
     t = start
     while t < end:
         if side == 0.0:
-            wait, towards = time_to_break_away(x, tilt, t, k)
+            wait, towards = time_to_break_away(x, crank, t, k)
             if wait >= end - t:
                 return x, 0.0, 0.0
             if wait == 0.0:
@@ -184,9 +202,9 @@ def advance(
             else:
                 t += wait + INSTANT
             continue
-        pull = acceleration(x, v, side, tilt, t, k)
+        pull = acceleration(x, v, side, crank, t, k)
         step = min(end - t, step_length(v, pull, k))
-        x_new, v_new = runge_kutta(pull, x, v, side, tilt, t, step, k)
+        x_new, v_new = runge_kutta(pull, x, v, side, crank, t, step, k)
         if v_new * side >= 0.0:
             x, v = x_new, v_new
             t += step
@@ -195,8 +213,8 @@ def advance(
             side = 0.0
             t += min(step, SHORTEST_STEP)
         else:
-            stop = time_to_rest(pull, x, v, side, tilt, t, step, k)
-            x, _ = runge_kutta(pull, x, v, side, tilt, t, stop, k)
+            stop = time_to_rest(pull, x, v, side, crank, t, step, k)
+            x, _ = runge_kutta(pull, x, v, side, crank, t, stop, k)
             v, side = 0.0, 0.0
             t += stop
     return x, v, side
@@ -206,7 +224,8 @@ def advance(
 def simulate(
     t: FloatArray,
     node_t: FloatArray,
-    tilts: FloatArray,
+    angle: FloatArray,
+    ratio: float,
     first: IntArray,
     last: IntArray,
     states: FloatArray,
@@ -215,62 +234,45 @@ def simulate(
 ) -> None:
     """Simulate windows of a recording; ``out`` (rows of all windows after each other, 2) gets x and v.
 
-    ``t`` (n,) are the times of the samples; ``tilts`` (n + 1, 5) tell how the beam moves before,
-    between and after the nodes ``node_t`` (n,), see ``stretches``. Window w covers the samples
-    first[w] … last[w] − 1 and begins with states[w] = (x, v).
+    ``t`` (n,) are the times of the samples; the crank stands at ``angle`` (m,) rad at the times
+    ``node_t`` (m,), turns straight in between and rests before and after; sin β = ratio·sin(angle).
+    Without a linkage the ratio is 1 and the angle is the beam's own. Window w covers the samples
+    first[w] … last[w] − 1 and begins with states[w] = (x, v + ROLLING·β̇): unlike v, that does not jump
+    at a node, so nothing jumps when a delay moves nodes across the first sample.
     """
     row = 0
     for w in range(first.size):
-        x, v = states[w, 0], states[w, 1]
-        side = np.sign(v)
         now = t[first[w]]
         node = np.searchsorted(node_t, now, side="right")
-        tilt = tilt_of(tilts, node)
+        crank, began = stretch(node_t, angle, ratio, node)
+        x = states[w, 0]
+        v = states[w, 1] - k[ROLLING] * beam(crank, now - began)[1]
+        side = np.sign(v)
         out[row, 0], out[row, 1] = x, v
         row += 1
         for i in range(first[w], last[w] - 1):
             end = t[i + 1]
             while now < end:
                 until = min(end, node_t[node]) if node < node_t.size else end
-                began = node_t[node - 1] if node > 0 else now
-                x, v, side = advance(x, v, side, tilt, now - began, until - began, k)
+                x, v, side = advance(x, v, side, crank, now - began, until - began, k)
                 now = until
                 if node < node_t.size and node_t[node] <= now:
                     node += 1
-                    before = tilt.rate + tilt.turn * (until - began)
-                    tilt = tilt_of(tilts, node)
-                    if tilt.rate != before:
-                        v -= k[ROLLING] * (tilt.rate - before)
-                        side = np.sign(v)
+                    before = crank.turning
+                    crank, began = stretch(node_t, angle, ratio, node)
+                    v -= k[ROLLING] * lever(crank.angle, ratio) * (crank.turning - before)
+                    side = np.sign(v)
             out[row, 0], out[row, 1] = x, v
             row += 1
 
 
 @compiled
-def tilt_of(tilts: FloatArray, node: int) -> Tilt:
-    """The motion of the beam in the stretch before ``node`` (n: after the last)."""
-    return Tilt(tilts[node, 0], tilts[node, 1], tilts[node, 2], tilts[node, 3], tilts[node, 4])
-
-
-def stretches(node_t: FloatArray, angle: FloatArray, ratio: float) -> FloatArray:
-    """How a beam moves whose crank turns straight from node to node, (n + 1, 5): the fields of ``Tilt``.
-
-    ``angle`` (n,) is the crank's, rad, and sin β = ratio·sin(angle). sin β is taken as the parabola
-    through the ends and the middle of each stretch, β̇ as the line between its ends. Without a
-    linkage, ``ratio`` is 1 and the angle is the beam's own. The beam rests before and after.
-    """
-    h = np.diff(node_t)
-    turning = np.diff(angle) / h
-    sine = ratio * np.sin(angle)
-    middle = ratio * np.sin(0.5 * (angle[:-1] + angle[1:]))
-    slope = (4.0 * middle - 3.0 * sine[:-1] - sine[1:]) / h
-    bend = 2.0 * (sine[:-1] + sine[1:] - 2.0 * middle) / h**2
-    lever = ratio * np.cos(angle) / np.sqrt(np.maximum(1.0 - sine**2, 1e-3))
-    rate, rate_end = lever[:-1] * turning, lever[1:] * turning
-    # the line is shifted to cover the way that the beam really goes, so that β̇² is right on average
-    shift = np.diff(np.arcsin(np.clip(sine, -1.0, 1.0))) / h - 0.5 * (rate + rate_end)
-    rate, rate_end = rate + shift, rate_end + shift
-    tilts = np.zeros((len(angle) + 1, 5))
-    tilts[0, 0], tilts[-1, 0] = sine[0], sine[-1]
-    tilts[1:-1] = np.column_stack([sine[:-1], slope, bend, rate, (rate_end - rate) / h])
-    return tilts
+def stretch(node_t: FloatArray, angle: FloatArray, ratio: float, node: int) -> tuple[Crank, float]:
+    """The crank's motion in the stretch before ``node`` (0: before all, m: after the last), and its start."""
+    if node == 0:
+        return Crank(angle[0], 0.0, ratio), node_t[0]
+    if node == node_t.size:
+        return Crank(angle[node - 1], 0.0, ratio), node_t[node - 1]
+    h = node_t[node] - node_t[node - 1]
+    turning = (angle[node] - angle[node - 1]) / h if h > 0.0 else 0.0
+    return Crank(angle[node - 1], turning, ratio), node_t[node - 1]

@@ -17,8 +17,11 @@ from labhil.plants.sensor import Sensor
 from labhil.signals import FloatArray, IntArray
 
 SAMPLE_PERIOD = 0.01
-MOMENTS = 10
-"""Into how many moments a sample period is cut where the way in or the sensor has a memory."""
+MOMENTS = 50
+"""Into how many moments a sample period is cut where the way in or the sensor has a memory.
+
+Controllers make the servo chatter, and β̇² remembers every corner that a coarser cut would round off.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +64,7 @@ class BallBeamPlant:
         if self._path.delay > (HISTORY - 2) * period:
             raise UsageError(f"time_delay.delay is too long for a sample period of {period:g} s")
         remembers = self._path != NEUTRAL or self.sensor.lag > 0.0
-        self._moments = MOMENTS if remembers else 1
+        self._moments = moments_of(self._path.delay / period) if remembers else np.ones(1)
         self._random = np.random.default_rng(seed)
         self.place(self.parameters["start_position"])
 
@@ -138,6 +141,18 @@ class BallBeamPlant:
         return out
 
 
+def moments_of(delay: float) -> FloatArray:
+    """Ends of the moments of a sample period, as shares of it; one is where the delayed servo turns.
+
+    ``delay`` is in sample periods.
+    """
+    corner = delay % 1.0
+    ends = np.arange(1, MOMENTS + 1) / MOMENTS
+    if np.min(np.abs(ends - corner)) < 1e-9 or corner < 1e-9:
+        return ends
+    return np.sort(np.append(ends, corner))
+
+
 @compiled
 def walk(
     angles: FloatArray,
@@ -146,7 +161,7 @@ def walk(
     lagged: FloatArray,
     history: FloatArray,
     newest: int,
-    moments: int,
+    moments: FloatArray,
     period: float,
     sensor_lag: float,
     m: Mechanics,
@@ -156,15 +171,18 @@ def walk(
 ) -> None:
     """Advance the whole plant by one sample period per angle, in place; see ``BallBeamPlant._walk``.
 
-    ``history[i % HISTORY]`` is the servo angle at sample i, up to ``newest``; ``memory`` is the way
-    in's, its last entry the angle at the linkage; ``lagged`` (1,) is the sensor's.
+    ``moments`` are their ends as shares of the period. ``history[i % HISTORY]`` is the servo angle at
+    sample i, up to ``newest``; ``memory`` is the way in's, its last entry the angle at the linkage;
+    ``lagged`` (1,) is the sensor's.
     """
-    h = period / moments
     for i in range(angles.size):
         newest += 1
         history[newest % HISTORY] = angles[i]
-        for j in range(moments):
-            behind = p.delay / period + 1.0 - (j + 1) / moments
+        passed = 0.0
+        for moment in moments:
+            h = (moment - passed) * period
+            passed = moment
+            behind = p.delay / period + 1.0 - moment
             linkage = memory[-1]
             before = ball[POSITION]
             turned = follow(memory, delayed(history, newest, behind), h, p)
