@@ -48,6 +48,13 @@ def write_json(data: dict[str, Any], path: Path | None = None) -> None:
         raise UsageError(f"{path}: the result cannot be written: {error}") from error
 
 
+def refuse_unwritable(*paths: Path | None) -> None:
+    """Raise UsageError for a result's path whose folder is not there, before the work and not after it."""
+    for path in paths:
+        if path is not None and not path.parent.is_dir():
+            raise UsageError(f"{path}: expected a folder {path.parent} to write into, found none")
+
+
 def split_names(text: str | None) -> tuple[str, ...] | None:
     """Return the names in ``"a,b,c"``; None for None, nothing for an empty text."""
     if text is None:
@@ -95,13 +102,17 @@ def _labhil(
 def twin(
     kind: Annotated[str, typer.Argument(help="A name from `labhil devices`.")],
     *,
-    seed: Annotated[int, typer.Option(help="Of its noise.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of its noise.")] = 0,
     terms: Annotated[
-        str | None, typer.Option(help="Effects it is made of: a,b,… (default: its own).")
+        str | None, typer.Option(help="Effects it is made of: a,b,… (default: its own; see --list).")
     ] = None,
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="NAME=VALUE", help="Another value (SI); may be repeated."),
+        typer.Option(
+            "--set",
+            metavar="NAME=VALUE",
+            help="A value other than the default (SI; see --list); may be repeated.",
+        ),
     ] = None,
     speed: Annotated[float, typer.Option(help="How many seconds of its world pass in one.")] = 1.0,
     wire: Annotated[str, typer.Option(help="pty or tcp.")] = "pty",
@@ -241,14 +252,17 @@ def fit(
         str | None, typer.Option("--terms", help="Terms of the model: a,b,… (default: the general model).")
     ] = None,
     test: Annotated[Path | None, typer.Option(help="A separate recording to judge on.")] = None,
-    holdout: Annotated[float, typer.Option(help="Share to hold out at the end, without --test.")] = 0.3,
-    window: Annotated[float | None, typer.Option(help="Length of the fitted windows, s.")] = None,
+    holdout: Annotated[float, typer.Option(help="Share to hold out at the end; --test goes first.")] = 0.3,
+    window: Annotated[
+        float | None, typer.Option(help="Length of the fitted windows, s (default: several, compared).")
+    ] = None,
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
 ) -> None:
     """Fit a white-box model to a recording, with honest errors, and test it on data it has not seen."""
     from labhil.report.study import fit_study, load_material
     from labhil.report.text import show_fit
 
+    refuse_unwritable(json_path)
     material = load_material(recording, rig, test, holdout)
     with status() as say:
         result = fit_study(
@@ -269,7 +283,7 @@ def diagnose(
     model: Annotated[Path | None, typer.Option(help="A fit that stands for your simulation (JSON).")] = None,
     baseline: Annotated[str | None, typer.Option(help="Terms that your simulation has: a,b,…")] = None,
     test: Annotated[Path | None, typer.Option(help="A separate recording to judge on.")] = None,
-    holdout: Annotated[float, typer.Option(help="Share to hold out at the end, without --test.")] = 0.3,
+    holdout: Annotated[float, typer.Option(help="Share to hold out at the end; --test goes first.")] = 0.3,
     plot: Annotated[Path | None, typer.Option(help="Draw it here (PNG).")] = None,
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
     exit_code: Annotated[
@@ -280,6 +294,7 @@ def diagnose(
     from labhil.report.study import diagnose_study, load_material
     from labhil.report.text import show_diagnosis
 
+    refuse_unwritable(json_path, plot)
     material = load_material(recording, rig, test, holdout)
     with status() as say:
         result = diagnose_study(material, baseline=split_names(baseline), reference=model, progress=say)
@@ -299,7 +314,9 @@ def demo(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where recordings and plots stay.")] = Path(
         "labhil-demo"
     ),
-    seed: Annotated[int | None, typer.Option(help="Of the concealed physics; default: drawn afresh.")] = None,
+    seed: Annotated[
+        int | None, typer.Option(help="Seed of the concealed physics; default: drawn afresh.")
+    ] = None,
 ) -> None:
     """Do the main job without hardware: record a twin that conceals physics, find it, show the better fit."""
     from labhil.campaign.demo import run_demo

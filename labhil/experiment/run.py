@@ -19,7 +19,7 @@ from typing import Any
 
 from labhil.bus.publish import publish_event
 from labhil.bus.session import Bus, open_bus
-from labhil.errors import BusError, LabhilError, RunStoppedError
+from labhil.errors import BusError, LabhilError, RunStoppedError, UsageError
 from labhil.experiment.device_run import DeviceRun
 from labhil.experiment.experiment import TWIN, Experiment
 from labhil.experiment.interruption import Interruption
@@ -97,11 +97,15 @@ def run_experiment(
 ) -> RunResult:
     """Run ``experiment`` and leave its recording in ``out_dir``, whatever happens on the way.
 
-    Raises ExperimentFileError or RigFileError before anything is started. Everything that goes wrong
-    after that is told by the result. In the main thread SIGINT, SIGTERM and SIGHUP stop the run in order.
+    Raises ExperimentFileError, RigFileError, or UsageError for a directory that cannot be made, before
+    anything is started. Everything that goes wrong after that is told by the result. In the main thread
+    SIGINT, SIGTERM and SIGHUP stop the run in order.
     """
     plan = make_plan(experiment)
-    out_dir.mkdir(parents=True, exist_ok=True)
+    try:
+        out_dir.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"{out_dir}: expected a directory for the recording, found {error}") from error
     with Interruption() as interrupted:
         return _Run(plan, recording_path(experiment, out_dir), progress, interrupted).run()
 

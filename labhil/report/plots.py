@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from labhil.diagnose import locate
 from labhil.diagnose.diagnosis import Diagnosis
+from labhil.errors import UsageError
 from labhil.identify.score import Score
 from labhil.physics.model import Record
 
@@ -19,14 +20,20 @@ BEFORE, AFTER, MEASURED = "#c8553d", "#2a7f62", "#444444"
 
 
 def diagnosis_plot(diagnosis: Diagnosis, held_out: Record, path: Path) -> None:
-    """Write a page of four panels as PNG: simulation, errors, the missing effort, and errors as histogram."""
+    """Write a page of four panels as PNG: simulation, errors, the missing effort, and errors as histogram.
+
+    UsageError when the file cannot be written or its extension is no format of pictures.
+    """
     figure = _figure((11.0, 8.0))
     axes = figure.subplots(2, 2)
     _draw_windows(axes[0, 0], diagnosis, held_out)
     _draw_errors(axes[0, 1], diagnosis, held_out)
     _draw_missing(axes[1, 0], diagnosis)
     _draw_histogram(axes[1, 1], diagnosis)
-    figure.savefig(path, dpi=110)
+    try:
+        figure.savefig(path, dpi=110)
+    except (OSError, ValueError) as error:
+        raise UsageError(f"{path}: the plot cannot be written: {error}") from error
 
 
 def _figure(size: tuple[float, float]) -> Figure:

@@ -155,23 +155,29 @@ def values_of(path: Path) -> dict[str, float]:
 
     Raises ModelFileError when the file is neither.
     """
+    rows = _model_in(path)["parameters"]
+    return {row["name"]: float(row["value"]) for row in rows if row.get("value") is not None}
+
+
+def terms_of(path: Path) -> tuple[str, ...]:
+    """Names of the terms of a fit or diagnosis file; ModelFileError when it is neither."""
+    return tuple(_model_in(path)["terms"])
+
+
+def _model_in(path: Path) -> Mapping[str, Any]:
+    """The part of a result that holds ``terms`` and ``parameters``."""
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
         raise ModelFileError(f"{path}: cannot be read as a model (JSON of `labhil fit`): {error}") from error
     schema = data.get("schema") if isinstance(data, dict) else None
-    if schema == "labhil.fit/1":
-        rows = data["parameters"]
-    elif schema == "labhil.diagnosis/1":
-        rows = data["final"]["parameters"]
-    else:
+    if schema not in ("labhil.fit/1", "labhil.diagnosis/1"):
         raise ModelFileError(
             f"{path}: expected schema labhil.fit/1 or labhil.diagnosis/1, found {schema or 'no schema'}"
         )
-    return {row["name"]: float(row["value"]) for row in rows if row.get("value") is not None}
-
-
-def terms_of(path: Path) -> tuple[str, ...]:
-    """Names of the terms of a fit or diagnosis file that :func:`values_of` accepts."""
-    data = json.loads(path.read_text(encoding="utf-8"))
-    return tuple(data["terms"] if data["schema"] == "labhil.fit/1" else data["final"]["terms"])
+    model = data if schema == "labhil.fit/1" else data.get("final")
+    if not isinstance(model, dict) or not all(
+        isinstance(model.get(k), list) for k in ("terms", "parameters")
+    ):
+        raise ModelFileError(f"{path}: expected the lists `terms` and `parameters`, found a result without")
+    return model

@@ -11,7 +11,7 @@ from typing import Any
 from labhil.diagnose.diagnosis import Diagnosis, diagnose
 from labhil.errors import RecordingError, UnknownNameError, UsageError
 from labhil.identify.fit import Fit, fit
-from labhil.identify.windows import split
+from labhil.identify.windows import FEWEST_IN_WINDOW, split
 from labhil.physics.model import Model, Record, index_of, terms_named
 from labhil.physics.rigs import BASELINE, GENERAL, model_for, record_of
 from labhil.recording.reader import Recording, read_recording
@@ -125,6 +125,11 @@ def fit_study(
     """Fit a model; ``start`` is a fit or diagnosis file to begin at."""
     if estimator not in ESTIMATORS:
         raise UnknownNameError("estimator", estimator, ESTIMATORS)
+    shortest = FEWEST_IN_WINDOW * material.learn.period
+    if window is not None and not shortest <= window < float("inf"):
+        raise UsageError(
+            f"--window: expected at least {shortest:.3g} s ({FEWEST_IN_WINDOW} samples), found {window:g}"
+        )
     model = material.model
     chosen = terms or (terms_of(start) if start is not None else GENERAL[model.kind])
     terms_named(model, chosen)
