@@ -12,7 +12,7 @@ from scipy import stats
 from labhil.diagnose import locate
 from labhil.diagnose.evidence import Evidence
 from labhil.diagnose.search import Data, Found, Rival, Step, search
-from labhil.identify.fit import Fitted, fit_terms, start_theta, table_of
+from labhil.identify.fit import Fitted, climb, start_theta, table_of
 from labhil.identify.score import Score, score
 from labhil.identify.statistics import Estimate
 from labhil.identify.windows import noise_of
@@ -165,16 +165,10 @@ def diagnose(
 
 
 def _fit_baseline(data: Data, terms: Sequence[str], reference: Mapping[str, float] | None) -> Fitted:
-    """Short windows first: they lead to the neighbourhood, long ones to the estimate."""
-    short = fit_terms(
-        data.model,
-        data.search,
-        terms,
-        FIRST_WINDOW_IN_HORIZONS * data.model.horizon,
-        data.sigma,
-        start=start_theta(data.model, reference),
-    )
-    return fit_terms(data.model, data.search, terms, data.window, data.sigma, start=short.theta, new_terms=())
+    """The baseline on the windows of the search, by way of shorter ones."""
+    lengths = [FIRST_WINDOW_IN_HORIZONS * data.model.horizon, data.window]
+    start = start_theta(data.model, reference)
+    return climb(data.model, data.search, terms, lengths, data.sigma, start=start, fresh=terms)[-1]
 
 
 def _excited(record: Record, sigma: np.ndarray) -> bool:

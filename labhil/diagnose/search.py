@@ -16,13 +16,16 @@ from itertools import combinations
 import numpy as np
 
 from labhil.diagnose.evidence import Evidence, bic, effective_samples, heldout_gain, search_p_value
-from labhil.identify.fit import Fitted, fit_terms
+from labhil.identify.fit import Fitted, climb, fit_terms, start_theta
 from labhil.identify.problem import Linearised, Point, Problem
 from labhil.identify.score import Score, score
 from labhil.physics.model import Model, Record, index_of, starts_of, terms_named
 from labhil.signals import FloatArray
 
 Progress = Callable[[str], None]
+
+SETTLED = 1.05
+"""A fit whose residuals are at most this much above the noise has found what it could."""
 
 LONGER = 2.0
 """The last fit is on windows that are this much longer than those of the search: they know more."""
@@ -145,10 +148,18 @@ def search(data: Data, baseline: Fitted, progress: Progress) -> Found:
 
 
 def lengthen(data: Data, fitted: Fitted) -> Fitted:
-    """Refit on the data's windows what was fitted on other ones."""
-    return fit_terms(
-        data.model, data.search, fitted.terms, data.window, data.sigma, start=fitted.theta, new_terms=()
-    )
+    """Refit on the data's windows what was fitted on shorter ones.
+
+    Where that leaves more than noise, the same terms begin anew, from their own starts: a search adds
+    terms one by one, and its way may have ended in a local minimum.
+    """
+    model, record, terms, sigma = data.model, data.search, fitted.terms, data.sigma
+    onward = climb(model, record, terms, [data.window], sigma, start=fitted.theta, fresh=())[-1]
+    if onward.noise < SETTLED:
+        return onward
+    lengths = [share * data.window for share in (0.25, 0.5, 1.0)]
+    anew = climb(model, record, terms, lengths, sigma, start=start_theta(model), fresh=terms)[-1]
+    return min(onward, anew, key=lambda candidate: candidate.solution.cost)
 
 
 def _ranked(

@@ -185,18 +185,38 @@ def fit(
     """
     sigma = noise_of(record)
     lengths = [window] if window else [f * WINDOW_IN_HORIZONS * model.horizon for f in LADDER]
-    begin, fresh = start_theta(model, start), terms if start is None else ()
-    rungs: list[Fitted] = []
-    for length in lengths:
-        progress(f"fitting {len(terms)} terms on windows of {length:.3g} s")
-        rungs.append(fit_terms(model, record, terms, length, sigma, start=begin, new_terms=fresh))
-        begin, fresh = rungs[-1].theta, ()
+    fresh = terms if start is None else ()
+    progress(f"fitting {len(terms)} terms on windows of {', '.join(f'{x:.3g}' for x in lengths)} s")
+    rungs = climb(model, record, terms, lengths, sigma, start=start_theta(model, start), fresh=fresh)
     if rungs[-1].noise > SETTLED:
         rungs[-1] = _from_other_shapes(model, record, rungs, lengths, sigma, progress)
     chosen = longest_trusted(rungs)
     progress("statistics and scores")
     by_window = [_window_estimate(r, length) for r, length in zip(rungs, lengths, strict=True)]
     return _finish(model, record, test, rungs, chosen, lengths[chosen], by_window, sigma)
+
+
+def climb(
+    model: Model,
+    record: Record,
+    terms: Sequence[str],
+    lengths: Sequence[float],
+    sigma: FloatArray,
+    *,
+    start: FloatArray,
+    fresh: Sequence[str],
+) -> list[Fitted]:
+    """Fit on longer and longer windows (s), each from where the one before ended.
+
+    Short windows lead to the neighbourhood whatever the start, long ones to the estimate. The terms
+    ``fresh`` begin at each of their own starts on the first.
+    """
+    rungs: list[Fitted] = []
+    for length in lengths:
+        begin = rungs[-1].theta if rungs else start
+        new_terms = () if rungs else fresh
+        rungs.append(fit_terms(model, record, terms, length, sigma, start=begin, new_terms=new_terms))
+    return rungs
 
 
 def _from_other_shapes(
