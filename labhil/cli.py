@@ -252,7 +252,7 @@ def fit(
         str | None, typer.Option("--terms", help="Terms of the model: a,b,… (default: the general model).")
     ] = None,
     test: Annotated[Path | None, typer.Option(help="A separate recording to judge on.")] = None,
-    holdout: Annotated[float, typer.Option(help="Share to hold out at the end; --test goes first.")] = 0.3,
+    holdout: Annotated[float, typer.Option(help="Share held out at the end; not used with --test.")] = 0.3,
     window: Annotated[
         float | None, typer.Option(help="Length of the fitted windows, s (default: several, compared).")
     ] = None,
@@ -283,7 +283,7 @@ def diagnose(
     model: Annotated[Path | None, typer.Option(help="A fit that stands for your simulation (JSON).")] = None,
     baseline: Annotated[str | None, typer.Option(help="Terms that your simulation has: a,b,…")] = None,
     test: Annotated[Path | None, typer.Option(help="A separate recording to judge on.")] = None,
-    holdout: Annotated[float, typer.Option(help="Share to hold out at the end; --test goes first.")] = 0.3,
+    holdout: Annotated[float, typer.Option(help="Share held out at the end; not used with --test.")] = 0.3,
     plot: Annotated[Path | None, typer.Option(help="Draw it here (PNG).")] = None,
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
     exit_code: Annotated[
