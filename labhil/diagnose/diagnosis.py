@@ -206,20 +206,15 @@ def _location(found: Found, before: Score, after: Score, held_out: Record) -> lo
         return None
     model = found.final.problem.model
     strongest = model.terms[found.missing[0].terms[0]]
-    regimes = tuple(
-        regime
-        for step in found.missing
-        for coordinates, effort in [locate.contribution(found.final, step.terms[0])]
-        for regime in locate.regimes(coordinates, effort**2)[:1]
-    )
+    lives = [pair for step in found.missing for pair in locate.where(found.final, step.terms[0])]
     channel = found.final.problem.record.output_names[0]
     return locate.Location(
         channel=channel,
         joint=None,
         enters=strongest.enters.value,
         times=locate.times(before, after, held_out.t),
-        regimes=regimes,
-        statement=locate.statement(regimes, strongest.enters.value, channel),
+        regimes=tuple(regime for _, regime in lives),
+        statement=locate.statement(channel, strongest.name, strongest.enters.value, lives),
     )
 
 

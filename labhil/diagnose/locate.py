@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,6 +63,12 @@ def contribution(final: Fitted, term: str) -> tuple[Mapping[str, FloatArray], Fl
     return whole, model.effort(final.theta, whole) - model.effort(less, fed)
 
 
+def where(final: Fitted, term: str) -> list[tuple[str, Regime]]:
+    """The term with the sharpest regime of its contribution, if it has any."""
+    coordinates, effort = contribution(final, term)
+    return [(term, regime) for regime in regimes(coordinates, effort**2)[:1]]
+
+
 def regimes(coordinates: Mapping[str, FloatArray], excess: FloatArray) -> tuple[Regime, ...]:
     """The smallest stretch of each coordinate that holds 80 % of ``excess`` (N,), the sharpest first.
 
@@ -112,13 +118,14 @@ def times(before: Score, after: Score, t: FloatArray, most: int = 5) -> tuple[tu
     return tuple(spans)
 
 
-def statement(found: tuple[Regime, ...], enters: str, channel: str) -> str:
-    """One plain sentence."""
-    if not found:
-        return f"The mismatch in {channel} is spread over all regimes visited; it enters by the {enters}."
-    sharpest = found[0]
-    unit = COORDINATE_UNITS[sharpest.coordinate]
+def statement(channel: str, strongest: str, enters: str, lives: Sequence[tuple[str, Regime]]) -> str:
+    """One plain sentence: which effect is the strongest, where it enters, and where an effect lives."""
+    begin = f"What {channel} is off by enters by the {enters} (most of it {strongest})"
+    if not lives:
+        return f"{begin} and is spread over all regimes that were visited."
+    term, regime = lives[0]
+    unit = COORDINATE_UNITS[regime.coordinate]
     return (
-        f"{sharpest.share_of_excess:.0%} of the mismatch in {channel} comes from {sharpest.coordinate} "
-        f"between {sharpest.low:.3g} and {sharpest.high:.3g} {unit}; it enters by the {enters}."
+        f"{begin}; {regime.share_of_excess:.0%} of {term} lives at {regime.coordinate} "
+        f"between {regime.low:.3g} and {regime.high:.3g} {unit}."
     )

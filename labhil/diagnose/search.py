@@ -115,7 +115,8 @@ class Found:
 
 def search(data: Data, baseline: Fitted, progress: Progress) -> Found:
     """Look for missing terms, beginning at a fitted baseline."""
-    current, p_value, looks = baseline, 1.0, len(candidates(data.model, baseline.terms))
+    current, looks = baseline, len(candidates(data.model, baseline.terms))
+    p_values: list[float] = []
     base = set(baseline.terms)
     rivals: tuple[Rival, ...] = ()
     with ThreadPoolExecutor(os.cpu_count()) as executor:
@@ -123,9 +124,9 @@ def search(data: Data, baseline: Fitted, progress: Progress) -> Found:
             ranked, pairs = _ranked(data, current, executor, progress)
             first = ranked[:CONFIRMED] + (pairs[:CONFIRMED_PAIRS] if current.noise > STILL_NOISY else [])
             accepted, trials = _forward(data, current, first, looks, executor, progress)
-            if current is baseline and trials:
+            if trials:
                 effective = effective_samples(trials[0].solution.residuals)
-                p_value = search_p_value(baseline, trials[0], effective, looks)
+                p_values.append(search_p_value(current, trials[0], effective, looks))
             if accepted is None:
                 swapped, rivals = _swap(data, current, base, executor, progress)
                 if swapped is not current:
@@ -144,6 +145,8 @@ def search(data: Data, baseline: Fitted, progress: Progress) -> Found:
     baseline = lengthen(longer, baseline)
     kept = _steps_of(longer, baseline, current, looks)
     rivals = tuple(r for r in rivals if r.instead_of in current.terms)
+    # of the first step when something was found, else of the last, which found nothing to add
+    p_value = p_values[0 if kept else -1] if p_values else 1.0
     return Found(baseline, current, kept, rivals, p_value, looks)
 
 

@@ -71,14 +71,15 @@ def _draw_missing(axes: Axes, diagnosis: Diagnosis) -> None:
         axes.set_axis_off()
         axes.text(0.5, 0.5, "nothing is missing", ha="center")
         return
-    regimes = diagnosis.location.regimes if diagnosis.location is not None else ()
+    lives = [pair for item in diagnosis.missing for pair in locate.where(diagnosis.final_fit, item.term)]
     for i, item in enumerate(diagnosis.missing):
         coordinates, effort = locate.contribution(diagnosis.final_fit, item.term)
-        name = regimes[0].coordinate if regimes else next(iter(coordinates))
+        name = lives[0][1].coordinate if lives else next(iter(coordinates))
         axes.scatter(coordinates[name], effort, s=3, color=f"C{i}", alpha=0.4, lw=0, label=item.term)
-    if regimes:
-        label = f"{regimes[0].share_of_excess:.0%} of the first"
-        axes.axvspan(regimes[0].low, regimes[0].high, color=BEFORE, alpha=0.15, label=label)
+    if lives:
+        term, regime = lives[0]
+        label = f"{regime.share_of_excess:.0%} of {term}"
+        axes.axvspan(regime.low, regime.high, color=BEFORE, alpha=0.15, label=label)
     unit = locate.COORDINATE_UNITS.get(name, "")
     _finish(axes, "What the baseline leaves out", f"{name}, {unit}", "force of each missing effect")
 
@@ -89,6 +90,7 @@ def _draw_histogram(axes: Axes, diagnosis: Diagnosis) -> None:
     for score, colour, label in _both(diagnosis):
         clipped = np.clip(score.errors[:, 0], -spread, spread)
         axes.hist(clipped, bins=61, range=(-spread, spread), color=colour, alpha=0.6, label=label)
+    axes.locator_params(axis="x", nbins=5)
     _finish(axes, "Errors (outliers at the edges)", f"error, {channel.unit}", "samples")
 
 
@@ -107,4 +109,4 @@ def _finish(axes: Axes, title: str, x: str, y: str) -> None:
     axes.set_ylabel(y)
     axes.grid(alpha=0.3)
     if axes.get_legend_handles_labels()[0]:
-        axes.legend(fontsize=8, frameon=False)
+        axes.legend(fontsize=8, frameon=False, markerscale=4)
