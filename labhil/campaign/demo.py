@@ -71,7 +71,7 @@ def draw_secret(seed: int | None) -> Secret:
 def run_demo(out: Path, seed: int | None, say: Say) -> None:
     """Record, diagnose, open the envelope; recordings, plot and JSON stay in ``out``."""
     console = Console()
-    console = console if console.is_terminal else Console(width=120)
+    console = console if console.is_terminal else Console(width=140)
     secret = draw_secret(seed)
     # Compiling in this process would keep the controller waiting; a child fills the cache meanwhile.
     with subprocess.Popen([sys.executable, "-P", "-c", COMPILE]) as compiling:

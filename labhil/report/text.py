@@ -42,7 +42,7 @@ def show_fit(fit: Fit, console: Console) -> None:
 def parameter_table(estimates: Sequence[Estimate], title: str) -> Table:
     """One row per parameter; ``*`` marks those that differ from zero at 1 %."""
     table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
-    table.add_column("parameter")
+    table.add_column("parameter", no_wrap=True)
     for name in ("value", "± std. error", "99 % interval", "z", "p"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("")
