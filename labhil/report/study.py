@@ -126,7 +126,7 @@ def fit_study(
     if estimator not in ESTIMATORS:
         raise UnknownNameError("estimator", estimator, ESTIMATORS)
     shortest = FEWEST_IN_WINDOW * material.learn.period
-    if window is not None and not shortest <= window < float("inf"):
+    if window is not None and not 0.99 * shortest <= window < float("inf"):
         raise UsageError(
             f"--window: expected at least {shortest:.3g} s ({FEWEST_IN_WINDOW} samples), found {window:g}"
         )
