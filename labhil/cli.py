@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -53,6 +53,12 @@ def refuse_unwritable(*paths: Path | None) -> None:
     for path in paths:
         if path is not None and not path.parent.is_dir():
             raise UsageError(f"{path}: expected a folder {path.parent} to write into, found none")
+
+
+def tell(lines: Iterable[str]) -> None:
+    """Print what a person should know beside the result."""
+    for line in lines:
+        print(line, file=sys.stderr)
 
 
 def split_names(text: str | None) -> tuple[str, ...] | None:
@@ -184,8 +190,7 @@ def run(
     from labhil.experiment.run import run_experiment
     from labhil.experiment.show import ProgressBar
 
-    for warning in plan.warnings():
-        print(warning, file=sys.stderr)
+    tell(plan.warnings())
     with ProgressBar() as bar:
         result = run_experiment(plan.experiment, out, bar)
     if result.error is not None:
@@ -210,8 +215,7 @@ def import_(
     from labhil.rig import load_rig
 
     table = import_table(data, load_rig(rig))
-    for line in describe_import(table):
-        print(line, file=sys.stderr)
+    tell(describe_import(table))
     print(write_import(table, out))
 
 
@@ -224,7 +228,9 @@ def export(
     from labhil.recording.export import export as write_table
     from labhil.recording.reader import read_recording
 
-    print(write_table(read_recording(recording), out))
+    found = read_recording(recording)
+    tell(found.losses())
+    print(write_table(found, out))
 
 
 @app.command(epilog="Example: labhil terms ball_beam")
@@ -264,6 +270,7 @@ def fit(
 
     refuse_unwritable(json_path)
     material = load_material(recording, rig, test, holdout)
+    tell(material.losses())
     with status() as say:
         result = fit_study(
             material, terms=split_names(names), start=model, estimator=estimator, window=window, progress=say
@@ -296,6 +303,7 @@ def diagnose(
 
     refuse_unwritable(json_path, plot)
     material = load_material(recording, rig, test, holdout)
+    tell(material.losses())
     with status() as say:
         result = diagnose_study(material, baseline=split_names(baseline), reference=model, progress=say)
     show_diagnosis(result.diagnosis, results_console())

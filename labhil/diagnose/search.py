@@ -143,7 +143,7 @@ def search(data: Data, baseline: Fitted, progress: Progress) -> Found:
     longer = replace(data, window=LONGER * data.window)
     current = _prune(longer, lengthen(longer, current), base, progress)
     baseline = lengthen(longer, baseline)
-    kept = _steps_of(longer, baseline, current, looks)
+    current, kept = _supported_only(longer, baseline, current, looks)
     rivals = tuple(r for r in rivals if r.instead_of in current.terms)
     # of the first step when something was found, else of the last, which found nothing to add
     p_value = p_values[0 if kept else -1] if p_values else 1.0
@@ -431,6 +431,18 @@ def _prune(data: Data, current: Fitted, base: set[str], progress: Progress) -> F
         if bic(reduced, effective) - bic(current, effective) < -NEEDED_BIC:
             current = reduced
     return current
+
+
+def _supported_only(
+    data: Data, baseline: Fitted, final: Fitted, looks: int
+) -> tuple[Fitted, tuple[Step, ...]]:
+    """Take out, weakest first, whatever search and held-out data do not both support in the last fit."""
+    while True:
+        steps = _steps_of(data, baseline, final, looks)
+        weak = [step for step in steps if not supported(step.evidence)]
+        if not weak:
+            return final, steps
+        final = _refit(data, final, without(data.model, final.terms, weak[-1].terms[0]), (), thorough=True)
 
 
 def _steps_of(data: Data, baseline: Fitted, final: Fitted, looks: int) -> tuple[Step, ...]:

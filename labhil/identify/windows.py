@@ -64,9 +64,9 @@ def scored_windows(record: Record, horizon: float) -> ScoredWindows:
             f"too short to score: {have:.3g} s, one window needs {lead + 0.5 * horizon:.3g} s "
             f"(lead-in {lead:.3g} s and half a horizon); a shorter [metric] horizon may do"
         )
-    first = np.searchsorted(record.t, starts - lead)
-    middle = np.searchsorted(record.t, starts)
-    last = np.minimum(np.searchsorted(record.t, starts + horizon), n)
+    edges = np.searchsorted(record.t, np.append(starts, starts[-1] + horizon))
+    middle, last = edges[:-1], edges[1:]
+    first = np.maximum(np.minimum(np.searchsorted(record.t, starts - lead), middle - FEWEST_SAMPLES), 0)
     lead_windows = Windows.of(list(zip(first.tolist(), middle.tolist(), strict=True)))
     whole = Windows.of(list(zip(first.tolist(), last.tolist(), strict=True)))
     return ScoredWindows(lead_windows, whole, whole.rows >= middle[whole.owner], horizon)
@@ -96,12 +96,13 @@ def noise_of(record: Record) -> FloatArray:
 
     Third differences leave nothing of a motion that is smooth over four samples and 20 times the
     variance of white noise; a robust scale keeps events out of it. A channel in steps (an ADC that
-    the noise does not dither) has at least the variance of rounding, step²/12.
+    the noise does not dither) has at least the variance of rounding, step²/12. A controller that
+    answers noise with motion within four samples makes it look a little (under 15 %) too small.
     """
     sigmas = []
     for column in record.outputs.T:
         third = np.diff(column, n=3)
-        spread = float(np.sqrt(np.mean(np.square(third[np.abs(third) <= 4.0 * _robust(third)])) / 20.0))
+        spread = float(np.sqrt(np.mean(np.square(third[np.abs(third) <= 8.0 * _robust(third)])) / 20.0))
         sigmas.append(max(spread, smallest_step(column) / np.sqrt(12.0), 1e-12))
     return np.array(sigmas)
 

@@ -64,9 +64,13 @@ def record_of(recording: Recording, kind: RigKind) -> Record:
         if not inputs or any(signal.name not in names for signal in outputs):
             continue
         chosen = inputs[0]
+        if not len(stream):
+            raise RecordingError(
+                f"{recording.path}: expected samples in {stream.device}/{stream.stream.name}, found 0"
+            )
         return Record(
             t=np.ascontiguousarray(stream.t),
-            inputs=np.ascontiguousarray(stream[chosen.name], dtype=np.float64).reshape(len(stream.t), -1),
+            inputs=np.column_stack([stream[chosen.name]]),
             outputs=np.column_stack([stream[signal.name] for signal in outputs]),
             input_names=(chosen.name,),
             output_names=tuple(signal.name for signal in outputs),

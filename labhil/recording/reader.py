@@ -115,6 +115,15 @@ class Recording:
             f"{self.path}: expected a stream with {wanted}{near}; found: {what or 'no streams at all'}"
         )
 
+    def losses(self) -> list[str]:
+        """What is not there that should be, a line each: the end of the file, damaged parts, lost samples."""
+        lines = [f"{self.path}: read as far as it goes: {self.damage}"] if self.damage else []
+        return lines + [
+            f"{self.path}: {data.lost} samples of {data.device}/{data.stream.name} were lost"
+            for data in self.streams
+            if data.lost
+        ]
+
     @property
     def duration(self) -> float:
         """Seconds (of analysis time) from the first sample to the last."""
@@ -147,7 +156,7 @@ def _bytes_of(path: Path) -> bytes:
     try:
         data = path.read_bytes()
     except OSError as error:
-        part = path.with_name(path.name + ".part")
+        part = Path(f"{path}.part")
         beside = f"; beside it lies {part}, which was not finished" if part.exists() else ""
         raise RecordingError(f"{path}: cannot be read: {error.strerror}{beside}") from error
     if not data:

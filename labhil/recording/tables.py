@@ -145,7 +145,7 @@ def write_import(table: ImportedTable, out: Path) -> Path:
         **{f"dropped.{reason}": str(count) for reason, count in table.dropped.items()},
         **{f"outside_limits.{name}": str(count) for name, count in table.outside.items()},
     }
-    with RecordingWriter(out, replace=True) as writer:
+    with RecordingWriter(out) as writer:
         writer.attach(RIG_ATTACHMENT, "application/toml", table.rig.text.encode())
         writer.metadata("import", told)
         channel = writer.add_stream(table.rig.rig.kind, table.stream, {"source": table.source.name})

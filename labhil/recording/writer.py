@@ -39,21 +39,21 @@ EVENT_TOPIC = "event"
 class RecordingWriter:
     """Writes one MCAP recording; used by one thread.
 
-    RecordingError when ``path`` exists already (unless ``replace``) or an unfinished recording of that
+    RecordingError when ``path`` exists already or an unfinished recording of that
     name lies beside it; RecordingFailedError, from any method, when the disk fails: the recording then
     stays under its ``.part`` name, readable up to the last flush.
     """
 
-    def __init__(self, path: Path, *, replace: bool = False) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
         self.part = path.with_name(path.name + ".part")
         self.failure: str | None = None
         self._finished = False
         self._codecs: dict[int, Codec] = {}
         self._json_channels: dict[str, int] = {}
-        if path.exists() and not replace:
+        if path.exists():
             raise RecordingError(f"{path}: expected a new file, found one that exists; nothing was written")
-        self._file = _create(self.part, replace)
+        self._file = _create(self.part)
         self._writer = Writer(self._file, chunk_size=CHUNK_SIZE, compression=CompressionType.LZ4)
         self._flushed_at = time.monotonic()
         with self._guarded():
@@ -197,13 +197,13 @@ class RecordingWriter:
             raise RecordingFailedError(self.failure) from error
 
 
-def _create(part: Path, replace: bool) -> BinaryIO:
-    if part.exists() and not replace:
+def _create(part: Path) -> BinaryIO:
+    if part.exists():
         raise RecordingError(
             f"{part}: expected no unfinished recording of this name, found one; move it away first"
         )
     try:
         part.parent.mkdir(parents=True, exist_ok=True)
-        return part.open("wb" if replace else "xb")
+        return part.open("xb")
     except OSError as error:
         raise RecordingFailedError(f"{part}: the recording could not be created: {error}") from error

@@ -49,6 +49,10 @@ class Material:
             for recording, record, role in self.recordings
         ]
 
+    def losses(self) -> list[str]:
+        """What the recordings lack, a line each."""
+        return [line for recording, _, _ in self.recordings for line in recording.losses()]
+
 
 def load_material(
     path: Path, rig_path: Path | None = None, test_path: Path | None = None, holdout: float = HOLDOUT
@@ -83,7 +87,8 @@ def _rig_of(recording: Recording, rig_path: Path | None) -> RigFile:
     if rig_path is not None:
         return load_rig(rig_path)
     if recording.rig is None:
-        raise RecordingError(f"{recording.path}: carries no rig file; give one with --rig RIG.toml")
+        damage = f" ({recording.damage})" if recording.damage else ""
+        raise RecordingError(f"{recording.path}: carries no rig file{damage}; give one with --rig RIG.toml")
     return recording.rig
 
 

@@ -407,8 +407,10 @@ def test_an_import_becomes_a_recording_that_tells_where_it_came_from(tmp_path):
     assert (told["rows"], told["kept"], told["dropped.not_finite"]) == ("21", "20", "1")
     assert told["outside_limits.ball_position"] == "15"
     assert (told["source"], told["sha256"]) == ("data.csv", table.sha256)
-    again = write_import(table, out)
+    again = write_import(table, tmp_path / "again.mcap")
     assert read_recording(again).sha256 == recording.sha256
+    with pytest.raises(RecordingError, match="expected a new file"):
+        write_import(table, out)
 
 
 def test_what_is_exported_is_imported_as_it_was(tmp_path):
