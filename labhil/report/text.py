@@ -54,11 +54,16 @@ def parameter_table(estimates: Sequence[Estimate], title: str) -> Table:
             f"{row.std_error:.2g}",
             f"[{row.ci99[0]:.4g}, {row.ci99[1]:.4g}]".replace("[", r"\["),
             f"{row.z:.1f}",
-            "<1e-99" if row.p_value < 1e-99 else f"{row.p_value:.2g}",
+            small(row.p_value).removeprefix("= "),
             _mark(row),
             row.unit,
         )
     return table
+
+
+def small(p_value: float) -> str:
+    """A p value as people write it: ``= 0.03``, ``<1e-99``."""
+    return "<1e-99" if p_value < 1e-99 else f"= {p_value:.2g}"
 
 
 def _mark(row: Estimate) -> str:
@@ -144,7 +149,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> RenderableType:
     parts: list[RenderableType] = [
         Text(VERDICTS[diagnosis.verdict], style="bold"),
         Text(
-            f"Baseline: {', '.join(diagnosis.baseline_terms)}. p = {diagnosis.p_value:.2g} that it suffices."
+            f"Baseline: {', '.join(diagnosis.baseline_terms)}. That it suffices: p {small(diagnosis.p_value)}."
         ),
     ]
     if diagnosis.location is not None:
