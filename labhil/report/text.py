@@ -149,7 +149,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> RenderableType:
     parts: list[RenderableType] = [
         Text(VERDICTS[diagnosis.verdict], style="bold"),
         Text(
-            f"Baseline: {', '.join(diagnosis.baseline_terms)}. That it suffices: p {small(diagnosis.p_value)}."
+            f"Baseline: {', '.join(diagnosis.baseline_terms)}; p {small(diagnosis.p_value)} that it suffices."
         ),
     ]
     if diagnosis.location is not None:
