@@ -1,0 +1,298 @@
+"""What is named, where it lives and what is said of it, on recordings of the plant."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from labhil.diagnose import locate
+from labhil.diagnose.diagnosis import Diagnosis, diagnose
+from labhil.diagnose.evidence import effective_samples
+from labhil.identify.statistics import Estimate
+from labhil.report.results import Source, diagnosis_json
+
+BASELINE = ("viscous_friction",)
+DRY = ("viscous_friction", "coulomb_friction", "stribeck_friction")
+TEST_TONES = (0.28, 0.39)
+SOURCES = [Source("a.mcap", "0" * 64, "ball_beam", 6000, 59.99, "search")]
+
+
+def diagnosed(
+    model, acquire, terms, *, seed: int = 1, seconds: float = 60.0, baseline=BASELINE, **how: Any
+) -> Diagnosis:
+    searched = acquire(terms, seed, duration=seconds)
+    judged = acquire(terms, seed + 1000, frequencies=TEST_TONES, duration=min(seconds, 40.0))
+    return diagnose(model, searched, judged, heldout_is_test=True, baseline=baseline, **how)
+
+
+@pytest.fixture(scope="module")
+def null(model, acquire) -> Diagnosis:
+    """Nothing is missing, but the value that the user believes in is wrong by far."""
+    return diagnosed(model, acquire, BASELINE, reference={"viscous_friction.coefficient": 0.1})
+
+
+@pytest.fixture(scope="module")
+def dry(model, acquire) -> Diagnosis:
+    """Dry friction with a Stribeck peak is missing."""
+    return diagnosed(model, acquire, DRY, seconds=20.0)
+
+
+def modelled(diagnosis: Diagnosis) -> float:
+    """The contract's share of the removable squared error that was removed."""
+    before, after, floor = diagnosis.before.mse, diagnosis.after.mse, diagnosis.after.noise_floor**2
+    return (before - after) / (before - floor)
+
+
+def test_a_changed_value_is_a_change_and_no_missing_physics(null):
+    assert null.verdict == "parameter_change"
+    assert (null.missing, null.location) == ((), None)
+    (change,) = null.changed
+    assert (change.name, change.before) == ("viscous_friction.coefficient", 0.1)
+    assert change.after == pytest.approx(0.26, abs=0.01)
+    assert change.ci99[0] < 0.26 < change.ci99[1]
+    assert change.p_value < 1e-6
+
+
+def test_of_a_baseline_that_is_right_nothing_is_said(null):
+    assert null.p_value > 5e-4
+    assert null.final_terms == null.baseline_terms == BASELINE
+    assert null.after is null.before
+    assert 0.85 < null.after.rmse / null.after.noise_floor < 1.15
+
+
+def test_what_is_not_there_is_excluded_down_to_little(null):
+    hidden = {item.term: item for item in null.excluded}
+    assert "viscous_friction" not in hidden
+    assert 0.0 < hidden["coulomb_friction"].largest_hidden < 0.005
+    assert 0.0 < hidden["time_delay"].largest_hidden < 0.02
+    assert all(item.confidence == 0.99 and math.isfinite(item.largest_hidden) for item in null.excluded)
+    assert [item.term for item in null.undecided] == ["sensor_offset"]
+
+
+def test_dry_friction_is_found_and_nothing_else(dry):
+    assert dry.verdict == "missing_physics"
+    assert {item.term for item in dry.missing} == {"coulomb_friction", "stribeck_friction"}
+    assert set(dry.final_terms) == set(DRY)
+    truth = {
+        "coulomb_friction.level": 0.09,
+        "stribeck_friction.level": 0.06,
+        "stribeck_friction.velocity": 0.02,
+    }
+    found = {row.name: row for item in dry.missing for row in item.parameters}
+    assert set(found) == set(truth)
+    for name, row in found.items():
+        assert abs(row.value - truth[name]) < 5.0 * row.std_error, row
+
+
+def test_the_model_that_is_left_reaches_the_floor_on_data_it_never_saw(dry):
+    assert dry.data == "test"
+    assert dry.before.rmse > 10.0 * dry.before.noise_floor
+    assert dry.after.rmse < 1.15 * dry.after.noise_floor
+    assert modelled(dry) > 0.99
+
+
+def test_every_effect_that_is_named_is_supported_by_both_recordings(dry):
+    for item in dry.missing:
+        assert item.evidence.delta_bic < -10.0
+        assert item.evidence.heldout_loglik_gain > 0.0
+        assert item.evidence.p_value < 0.01
+        assert 0.5 < item.probability <= 1.0
+    order = [item.evidence.delta_bic for item in dry.missing]
+    assert order == sorted(order), "ordered by evidence"
+
+
+def test_the_stribeck_peak_lives_at_low_speed(dry):
+    location = dry.location
+    assert (location.channel, location.enters) == ("ball_position", "force")
+    (regime,) = [r for r in location.regimes if r.coordinate == "ball_velocity"]
+    assert -0.1 < regime.low < 0.0 < regime.high < 0.1
+    assert 0.75 < regime.share_of_excess <= 1.0
+    assert "ball_velocity" in location.statement
+    assert location.times
+    assert all(0.0 <= begin < end <= 20.0 for begin, end in location.times)
+
+
+def test_the_contribution_of_a_term_is_its_law(dry):
+    coordinates, effort = locate.contribution(dry.final_fit, "stribeck_friction")
+    values = {row.name: row.value for row in dry.final}
+    v = coordinates["ball_velocity"]
+    width = values["stribeck_friction.velocity"]
+    expected = -values["stribeck_friction.level"] * np.exp(-np.abs(v) / width) * np.sign(v)
+    assert np.allclose(effort, expected, atol=1e-9)
+
+
+def test_regimes_hold_four_fifths_of_the_excess_in_few_samples():
+    x = np.linspace(-1.0, 1.0, 4001)
+    excess = np.where(np.abs(x - 0.3) < 0.1, 1.0, 0.0)
+    (regime,) = locate.regimes({"ball_position": x, "unheard_of": x}, excess)
+    assert regime.coordinate == "ball_position"
+    assert (regime.low, regime.high) == pytest.approx((0.2, 0.4), abs=0.06)
+    assert 0.8 <= regime.share_of_excess <= 1.0
+    assert locate.regimes({"ball_position": x}, np.ones_like(x)) == ()
+
+
+def test_correlated_residuals_are_worth_fewer():
+    random = np.random.default_rng(2)
+    white = random.standard_normal(20_000)
+    slow = np.empty_like(white)
+    slow[0] = white[0]
+    for i in range(1, len(white)):
+        slow[i] = 0.8 * slow[i - 1] + white[i]
+    assert effective_samples(white) == pytest.approx(20_000, rel=0.06)
+    assert effective_samples(slow) == pytest.approx(20_000 * 0.2 / 1.8, rel=0.15)
+
+
+def test_where_nothing_moves_nothing_is_decided(model, acquire):
+    still = acquire(DRY, 4, amplitude=0.0, duration=20.0)
+    still = replace(still, inputs=np.zeros_like(still.inputs))
+    answer = diagnose(model, still, still, heldout_is_test=True, baseline=BASELINE)
+    assert answer.verdict == "not_decidable"
+    assert (answer.missing, answer.changed, answer.excluded) == ((), (), ())
+    assert {item.term for item in answer.undecided} == set(model.terms)
+    assert all("noise" in item.reason for item in answer.undecided)
+    check_contract(diagnosis_json(answer, SOURCES))
+
+
+NUMBER = (int, float)
+NULLABLE = (int, float, type(None))
+PARAMETER = {
+    "name": str, "value": NUMBER, "unit": str, "ci99": list, "p_value": NUMBER, "identifiable": bool,
+    "term": (str, type(None)), "joint": type(None),
+}  # fmt: skip
+TOP = {
+    "schema": str, "recordings": list, "verdict": str, "p_value": NUMBER, "p_value_method": str,
+    "p_value_floor": NUMBER, "baseline": dict, "changed": list, "location": (dict, type(None)),
+    "missing": list, "rivals": list, "undecided": list, "excluded": list, "improvement": dict,
+    "final": dict, "curve": (dict, type(None)), "seconds": NUMBER,
+}  # fmt: skip
+INSIDE = {
+    "recordings": {
+        "path": str, "sha256": str, "rig": str, "samples": int, "duration": NUMBER, "role": str,
+    },
+    "changed": {
+        "name": str, "joint": type(None), "before": NUMBER, "after": NUMBER, "unit": str, "ci99": list,
+        "p_value": NUMBER,
+    },
+    "missing": {
+        "term": str, "joint": type(None), "statement": str, "equation": str, "probability": NUMBER,
+        "parameters": list, "evidence": dict,
+    },
+    "rivals": {
+        "term": str, "instead_of": str, "joint": type(None), "probability": NUMBER, "delta_bic": NUMBER,
+        "distinguishable": bool, "experiment": str,
+    },
+    "undecided": {"term": str, "joint": type(None), "needs": list, "reason": str},
+    "excluded": {
+        "term": str, "joint": type(None), "largest_hidden": NUMBER, "unit": str, "confidence": NUMBER,
+    },
+}  # fmt: skip
+LOCATION = {
+    "channel": str, "joint": type(None), "enters": str, "times": list, "regimes": list, "statement": str,
+}  # fmt: skip
+REGIME = {"coordinate": str, "low": NUMBER, "high": NUMBER, "share_of_excess": NUMBER}
+EVIDENCE = {"delta_bic": NUMBER, "p_value": NUMBER, "heldout_loglik_gain": NUMBER}
+FIGURES = ("rmse_before", "rmse_after", "noise_floor", "r2_before", "r2_after")
+IMPROVEMENT = {
+    "data": str, "metric": str, "horizon": NUMBER, "mse_before": NUMBER, "mse_after": NUMBER,
+    "per_channel": list, **dict.fromkeys(FIGURES, NULLABLE),
+}  # fmt: skip
+CHANNEL = {"channel": str, "joint": type(None), "unit": str, **dict.fromkeys(FIGURES, NULLABLE)}
+VERDICTS = {
+    "no_mismatch", "parameter_change", "missing_physics", "unexplained_mismatch", "data_fault",
+    "not_decidable",
+}  # fmt: skip
+
+
+def check(found: dict[str, Any], shape: dict[str, Any]) -> None:
+    for key, kind in shape.items():
+        assert key in found, f"{key} is missing among {list(found)}"
+        assert isinstance(found[key], kind), f"{key}: {found[key]!r}"
+        assert not (kind == NUMBER and isinstance(found[key], bool)), key
+
+
+def check_contract(data: dict[str, Any]) -> None:
+    """Hold a diagnosis against the public interface: keys, types, no NaN."""
+    data = json.loads(json.dumps(data, allow_nan=False))
+    check(data, TOP)
+    assert data["schema"] == "labhil.diagnosis/1"
+    assert data["verdict"] in VERDICTS
+    assert data["p_value_method"] in ("bootstrap", "tail_extrapolated")
+    for key, shape in INSIDE.items():
+        for item in data[key]:
+            check(item, shape)
+    for item in data["missing"]:
+        check(item["evidence"], EVIDENCE)
+    for part in ("baseline", "final"):
+        check(data[part], {"terms": list, "parameters": list})
+    rows = data["baseline"]["parameters"] + data["final"]["parameters"]
+    for row in rows + [row for item in data["missing"] for row in item["parameters"]]:
+        check(row, PARAMETER)
+        assert row["ci99"][0] <= row["value"] <= row["ci99"][1]
+    if data["location"] is not None:
+        check(data["location"], LOCATION)
+        for regime in data["location"]["regimes"]:
+            check(regime, REGIME)
+            assert regime["low"] < regime["high"]
+        assert all(len(span) == 2 for span in data["location"]["times"])
+    check(data["improvement"], IMPROVEMENT)
+    assert data["improvement"]["metric"] == "windowed_simulation"
+    for channel in data["improvement"]["per_channel"]:
+        check(channel, CHANNEL)
+
+
+def test_the_json_is_the_contracts(null, dry):
+    for diagnosis in (null, dry):
+        check_contract(diagnosis_json(diagnosis, SOURCES))
+
+
+def test_numbers_that_are_not_finite_become_null(null):
+    lost = replace(null.final[0], std_error=math.inf, z=math.nan, ci99=(-math.inf, math.inf))
+    data = diagnosis_json(replace(null, final=[lost]), SOURCES)
+    (row,) = data["final"]["parameters"]
+    assert (row["std_error"], row["z"], row["ci99"]) == (None, None, [None, None])
+    json.dumps(data, allow_nan=False)
+    assert isinstance(lost, Estimate)
+
+
+EFFECTS = {
+    "dead_zone": {"dead_zone.left": 0.06, "dead_zone.right": 0.08},
+    "time_delay": {"time_delay.delay": 0.05},
+    "backlash": {"backlash.gap": 0.08},
+    "actuator_lag": {"actuator_lag.time_constant": 0.08},
+    "saturation": {"saturation.inverse_limit": 1.0 / 0.7},
+    "constant_force": {"constant_force.force": 0.03},
+    "spring_force": {"spring_force.stiffness": 0.5},
+    "added_inertia": {"added_inertia.mass": 0.05},
+    "static_friction": {"static_friction.level": 0.05},
+    "quadratic_viscous_friction": {"quadratic_viscous_friction.coefficient": 0.5},
+    "position_dependent_friction": {"position_dependent_friction.slope": 0.3},
+    "sensor_nonlinearity": {"sensor_nonlinearity.cubic": 1.0},
+    "sensor_lag": {"sensor_lag.time_constant": 0.05},
+}
+
+
+@pytest.mark.extended
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_one_more_effect_beside_known_dry_friction_is_named(model, acquire, effect):
+    answer = diagnosed(model, acquire, (*DRY, effect), seed=50, baseline=DRY)
+    named = {item.term for item in answer.missing}
+    rivals = {item.term for item in answer.rivals if item.instead_of in named}
+    print(effect, "→", ", ".join(sorted(named)), "| rivals:", ", ".join(sorted(rivals)) or "none")
+    assert answer.verdict == "missing_physics"
+    assert effect in named | rivals
+    assert len(named) == 1
+    assert answer.after.rmse < 1.3 * answer.after.noise_floor
+
+
+@pytest.mark.extended
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("seed", range(6))
+def test_nothing_is_named_where_nothing_is_missing(model, acquire, seed):
+    answer = diagnosed(model, acquire, DRY, seed=80 + seed, baseline=DRY)
+    assert (answer.verdict, answer.missing) == ("no_mismatch", ())
