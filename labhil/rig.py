@@ -5,6 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -87,7 +88,7 @@ class Limit(_Section):
 class Metric(_Section):
     """``[metric]``: horizon of the windowed simulation, s."""
 
-    horizon: Annotated[float, Field(gt=0)] | None = None
+    horizon: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
 
 
 class Table(_Section):
@@ -167,8 +168,11 @@ class RigFile(_Section):
         _check_names("limits", self.limits, signals)
         _check_names("channels", self.channels, signals | {"t"})
         for name, value in self.known.items():
-            if isinstance(value, float) and not 0 < value < float("inf"):
-                raise ValueError(f"known.{name} must be a positive number, found {value:g}")
+            if not isinstance(value, float) or not 0 < value < float("inf"):
+                raise ValueError(f"known.{name} must be a positive number, found {value!r}")
+        for name, value in self.nominal.items():
+            if not isfinite(value):
+                raise ValueError(f"nominal.{name} must be a finite number, found {value!r}")
         return self
 
 
