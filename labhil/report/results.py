@@ -155,13 +155,25 @@ def values_of(path: Path) -> dict[str, float]:
 
     Raises ModelFileError when the file is neither.
     """
-    rows = _model_in(path)["parameters"]
-    return {row["name"]: float(row["value"]) for row in rows if row.get("value") is not None}
+    values = {}
+    for row in _model_in(path)["parameters"]:
+        name, value = (row.get("name"), row.get("value")) if isinstance(row, dict) else (None, None)
+        known = value is None or (isinstance(value, (int, float)) and math.isfinite(value))
+        if not isinstance(name, str) or not known:
+            raise ModelFileError(
+                f"{path}: parameters: expected rows with a `name` and a finite `value`, found {row!r}"
+            )
+        if value is not None:
+            values[name] = float(value)
+    return values
 
 
 def terms_of(path: Path) -> tuple[str, ...]:
     """Names of the terms of a fit or diagnosis file; ModelFileError when it is neither."""
-    return tuple(_model_in(path)["terms"])
+    terms = _model_in(path)["terms"]
+    if not all(isinstance(name, str) for name in terms):
+        raise ModelFileError(f"{path}: terms: expected a list of names, found {terms!r}")
+    return tuple(terms)
 
 
 def _model_in(path: Path) -> Mapping[str, Any]:
