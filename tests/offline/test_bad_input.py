@@ -32,6 +32,12 @@ WRONG_RIGS = {
     "no such delimiter": (GOOD_RIG + '[table]\ndelimiter = "pipe"\n', "table.delimiter", "found 'pipe'"),
     "text for a number": (GOOD_RIG + "[table]\nrate = \"fast\"\n", "table.rate", "found 'fast'"),
     "negative mass": (GOOD_RIG + "[known]\nball_mass = -1.0\n", "ball_mass", "must be a positive number"),
+    "text for a mass": (GOOD_RIG + '[known]\nball_mass = "heavy"\n', "known.ball_mass", "found 'heavy'"),
+    "two masses": (GOOD_RIG + "[known]\nball_mass = [1.0, 2.0]\n", "known.ball_mass", "found [1.0, 2.0]"),
+    "nominal that is none": (
+        GOOD_RIG + "[nominal]\nviscous_friction.coefficient = nan\n", "nominal.viscous_friction", "found nan",
+    ),
+    "endless horizon": (GOOD_RIG + "[metric]\nhorizon = inf\n", "metric.horizon", "found inf"),
     "limits upside down": (
         GOOD_RIG + "[limits]\nball_position = { min = 1.0, max = -1.0 }\n", "limits.ball_position", "smaller",
     ),
@@ -229,3 +235,24 @@ def test_a_cut_recording_is_fitted_as_far_as_it_goes(labhil, tmp_path: Path, shi
     assert "cut.mcap: read as far as it goes" in done.err
     (source,) = json.loads((tmp_path / "fit.json").read_text())["recordings"]
     assert 1000 < source["samples"] < 2800
+
+
+WRONG_MODELS = {
+    "no name": '"terms": ["viscous_friction"], "parameters": [{"value": 1.0}]',
+    "text for a value": '"terms": ["viscous_friction"], "parameters": [{"name": "x", "value": "much"}]',
+    "NaN for a value": '"terms": ["viscous_friction"], "parameters": [{"name": "x", "value": NaN}]',
+    "no rows": '"terms": ["viscous_friction"], "parameters": ["viscous_friction.coefficient"]',
+    "terms that are none": '"terms": [["viscous_friction"]], "parameters": []',
+    "an unknown term": '"terms": ["viscous_frictoin"], "parameters": []',
+}
+
+
+@pytest.mark.parametrize("command", ["fit", "diagnose"])
+@pytest.mark.parametrize("case", WRONG_MODELS)
+def test_a_file_that_is_no_model_is_refused(
+    labhil, tmp_path: Path, shipped: Path, command: str, case: str
+) -> None:
+    (tmp_path / "fit.json").write_text(f'{{"schema": "labhil.fit/1", {WRONG_MODELS[case]}}}')
+    recording = shipped / "ball_beam_identify.mcap"
+    message = labhil(command, recording, "--model", "fit.json").refused()
+    assert "viscous_frictoin" in message or ("fit.json" in message and "expected" in message)
