@@ -141,7 +141,9 @@ def test_intervals_of_correlated_noise_cover_the_truth():
 def test_p_values_of_a_null_are_uniform_also_under_correlated_noise():
     random = np.random.default_rng(9)
     inputs = np.sin(np.arange(700) / 11.0) + 0.3 * np.sin(np.arange(700) / 3.7)
-    found = [statistics.input_crosscorrelation(autoregressive(random, 700, 0.6), inputs) for _ in range(100)]
+    found = [
+        statistics.input_crosscorrelation(autoregressive(random, 700, 0.6), inputs, 6) for _ in range(100)
+    ]
     assert stats.kstest(found, "uniform").pvalue > 1e-3
 
 
