@@ -67,14 +67,24 @@ def serve(bus: Bus, key: str, handler: Handler) -> Answering:
     return Answering(bus, key, handler)
 
 
-def ask(bus: Bus, key: str, payload: Mapping[str, Any] | None = None, timeout: float = 2.0) -> dict[str, Any]:
+def ask(
+    bus: Bus,
+    key: str,
+    payload: Mapping[str, Any] | None = None,
+    timeout: float = 2.0,
+    *,
+    patience: float = 0.0,
+) -> dict[str, Any]:
     """Ask at ``key`` and return the answer, waiting up to ``timeout`` s.
 
-    CommandRefusedError when it was refused; BusError when nobody answers or the answer is an error.
+    Where somebody is known to live there, ``patience`` (s) is how long the bus may take to find them: on
+    a busy machine that is seconds. CommandRefusedError when it was refused; BusError when nobody
+    answers or the answer is an error.
     """
     question = json.dumps(dict(payload or {}))
     answer = _ask_once(bus, key, question, timeout)
-    while answer is None and bus.settling:
+    give_up = time.monotonic() + patience
+    while answer is None and (bus.settling or time.monotonic() < give_up):
         time.sleep(0.02)
         answer = _ask_once(bus, key, question, timeout)
     if answer is None:

@@ -22,6 +22,9 @@ from labhil.experiment.plan import DevicePlan
 from labhil.service.hosts import ConnectedDevice
 from labhil.service.messages import HostState, Setpoint
 
+PATIENCE = 10.0
+"""How long the bus may take to find a host that has said that it is ready, s."""
+
 ASK_TIMEOUT = 2.0
 
 
@@ -80,7 +83,11 @@ class DeviceRun:
     def take_lease(self, holder: str) -> None:
         """Become the one who commands the device; CommandRefusedError when it is not to be had."""
         answer = ask(
-            self._bus, command_key(self.plan.name, "lease"), {"action": "take", "holder": holder}, ASK_TIMEOUT
+            self._bus,
+            command_key(self.plan.name, "lease"),
+            {"action": "take", "holder": holder},
+            ASK_TIMEOUT,
+            patience=PATIENCE,
         )
         self._token = str(answer["token"])
 
