@@ -1,57 +1,17 @@
-"""Rig kinds, and the rig file (TOML) that says which one stands on the bench and how its data are read."""
+"""The rig file (TOML): which kind of rig stands on the bench, what is known of it, how its data are read."""
 
 from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from labhil.errors import RigFileError, UnknownNameError, suggestion
-from labhil.signals import Direction, Signal
-
-
-@dataclass(frozen=True, slots=True)
-class RigKind:
-    """What every rig of one kind has: its signals, and the parameters that may be known beforehand.
-
-    Of ``inputs`` one is enough; ``known`` maps the names that ``[known]`` takes to their units.
-    """
-
-    name: str
-    inputs: tuple[Signal, ...]
-    outputs: tuple[Signal, ...]
-    auxiliary: tuple[Signal, ...]
-    known: Mapping[str, str]
-
-    def signals(self) -> tuple[Signal, ...]:
-        """All signals that a recording of this rig may hold."""
-        return self.inputs + self.outputs + self.auxiliary
-
-
-BALL_BEAM = RigKind(
-    name="ball_beam",
-    inputs=(
-        Signal("servo_angle", "rad", Direction.INPUT, description="gear-disc angle in effect at the servo"),
-        Signal("beam_angle", "rad", Direction.INPUT, description="angle of the beam, measured directly"),
-    ),
-    outputs=(Signal("ball_position", "m", Direction.OUTPUT, description="from the pivot along the beam"),),
-    auxiliary=(),
-    known={"ball_mass": "kg", "ball_radius": "m", "crank_radius": "m", "beam_length": "m"},
-)
-
-KINDS: Mapping[str, RigKind] = {kind.name: kind for kind in (BALL_BEAM,)}
-
-
-def kind_named(name: str) -> RigKind:
-    """Return the rig kind ``name``; UnknownNameError lists those that exist."""
-    if name not in KINDS:
-        raise UnknownNameError("rig kind", name, KINDS)
-    return KINDS[name]
+from labhil.errors import RigFileError, suggestion
+from labhil.kinds import KINDS, Known, RigKind, kind_named
 
 
 class _Section(BaseModel):
@@ -156,6 +116,16 @@ class RigFile(_Section):
         value = self.known.get(name)
         return float(value) if isinstance(value, (int, float)) else None
 
+    def known_numbers(self, name: str) -> list[float] | None:
+        """A list of ``[known]`` (one number a joint), or None when it is to be estimated."""
+        value = self.known.get(name)
+        return [float(item) for item in value] if isinstance(value, list) else None
+
+    def known_path(self, name: str) -> Path | None:
+        """A table of ``[known]``, relative to the rig file; None when there is none."""
+        value = self.known.get(name)
+        return self.path.parent / value if isinstance(value, str) else None
+
     @field_validator("nominal", mode="before")
     @classmethod
     def _flattened(cls, value: object) -> object:
@@ -168,8 +138,8 @@ class RigFile(_Section):
         _check_names("limits", self.limits, signals)
         _check_names("channels", self.channels, signals | {"t"})
         for name, value in self.known.items():
-            if not isinstance(value, float) or not 0 < value < float("inf"):
-                raise ValueError(f"known.{name} must be a positive number, found {value!r}")
+            _check_known(name, value, self.kind.known[name])
+        _check_geometry(self)
         for name, value in self.nominal.items():
             if not isfinite(value):
                 raise ValueError(f"nominal.{name} must be a finite number, found {value!r}")
@@ -260,6 +230,31 @@ def _check_names(section: str, given: Mapping[str, object], known: set[str]) -> 
             )
 
 
+def _check_known(name: str, value: object, what: Known) -> None:
+    """ValueError unless ``[known]`` gives for a name what belongs there."""
+    if what.table:
+        if not isinstance(value, str) or not value:
+            raise ValueError(f"known.{name} must be the path of a table, found {value!r}")
+        return
+    numbers = value if isinstance(value, list) else [value]
+    wanted = "a positive number" if what.positive else "a finite number"
+    if what.width > 1:
+        wanted = f"{what.width} {'positive' if what.positive else 'finite'} numbers"
+    fits = isinstance(value, list) == (what.width > 1) and len(numbers) == what.width
+    if not fits or not all(
+        isinstance(x, float) and isfinite(x) and (x > 0 or not what.positive) for x in numbers
+    ):
+        raise ValueError(f"known.{name} must be {wanted}, found {value!r}")
+
+
+def _check_geometry(rig: RigFile) -> None:
+    """ValueError for lengths that make no rig."""
+    for low, high in (("crank_radius", "beam_length"), ("stop_low", "stop_high")):
+        a, b = rig.known_number(low), rig.known_number(high)
+        if a is not None and b is not None and not a < b:
+            raise ValueError(f"known.{low} ({a:g}) must be smaller than known.{high} ({b:g})")
+
+
 def _refuse_reserved(data: Mapping[str, object], path: Path) -> None:
     for name in ("path", "text"):
         if name in data:
@@ -272,20 +267,3 @@ def _flatten(value: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, 
             yield from _flatten(inner, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", inner
-
-
-__all__ = [
-    "BALL_BEAM",
-    "KINDS",
-    "Channel",
-    "Limit",
-    "Metric",
-    "RigFile",
-    "RigKind",
-    "Table",
-    "default_rig",
-    "explain",
-    "kind_named",
-    "load_rig",
-    "parse_rig",
-]

@@ -55,7 +55,7 @@ def contribution(final: Fitted, term: str) -> tuple[Mapping[str, FloatArray], Fl
     states = final.solution.point.states
     less = final.theta.copy()
     for i, parameter in enumerate(model.parameters):
-        if parameter.name in model.terms[term].parameter_names() and not parameter.shape:
+        if parameter.term == term and not parameter.shape:
             less[i] = 0.0
     whole = model.coordinates(final.theta, problem.record, problem.windows, states)
     path = model.coordinates(less, problem.record, problem.windows, states)

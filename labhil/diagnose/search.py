@@ -292,7 +292,7 @@ def _columns(data: Data, current: Fitted, group: Sequence[str]) -> list[FloatArr
     sets = []
     for values in starts_of(model, terms, data.search):
         columns = []
-        shapes = {p.name for term in terms for p in term.parameters if p.shape}
+        shapes = {p.key for term in terms for p in term.parameters if p.shape}
         for term in terms:
             for parameter in term.parameters:
                 if parameter.shape:
@@ -300,7 +300,7 @@ def _columns(data: Data, current: Fitted, group: Sequence[str]) -> list[FloatArr
                 theta = current.theta.copy()
                 for name in shapes:
                     theta[places[name]] = values[name]
-                theta[places[parameter.name]] = values[parameter.name] or 1e-2 * parameter.scale
+                theta[places[parameter.key]] = values[parameter.key] or 1e-2 * parameter.scale
                 columns.append(_residuals_at(problem, theta, current.solution.point.states) - before)
         sets.append(np.column_stack(columns))
     return sets
@@ -332,10 +332,9 @@ def _refit(
     hopeless: float = float("inf"),
 ) -> Fitted:
     start = current.theta.copy()
-    neutral = [i for i, p in enumerate(data.model.parameters) if p.name.partition(".")[0] not in terms]
-    for i in neutral:
-        if "." in data.model.parameters[i].name:
-            start[i] = data.model.parameters[i].neutral
+    for i, parameter in enumerate(data.model.parameters):
+        if parameter.term is not None and parameter.term not in terms:
+            start[i] = parameter.neutral
     return fit_terms(
         data.model,
         data.search,

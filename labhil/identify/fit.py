@@ -77,9 +77,9 @@ class Fit:
 
 def free_of(model: Model, terms: Sequence[str]) -> np.ndarray:
     """Places of the parameters that a model with these terms estimates: the rig's own and the terms'."""
-    chosen = {name for term in terms_named(model, terms) for name in term.parameter_names()}
+    chosen = {p.key for term in terms_named(model, terms) for p in term.parameters}
     return np.array(
-        [i for i, p in enumerate(model.parameters) if "." not in p.name or p.name in chosen], dtype=np.int64
+        [i for i, p in enumerate(model.parameters) if p.term is None or p.key in chosen], dtype=np.int64
     )
 
 
@@ -252,7 +252,7 @@ def longest_trusted(rungs: Sequence[Fitted]) -> int:
 
 def _window_estimate(fitted: Fitted, length: float) -> WindowEstimate:
     robust, _, _ = covariances(fitted)
-    names = [fitted.problem.model.parameters[i].name for i in fitted.problem.free]
+    names = [fitted.problem.model.parameters[i].key for i in fitted.problem.free]
     values = fitted.theta[fitted.problem.free]
     errors = np.sqrt(np.maximum(np.diag(robust), 0.0))
     return WindowEstimate(

@@ -103,7 +103,7 @@ class Problem:
 
     def state_slopes(self, point: Point, residuals: FloatArray) -> FloatArray:
         """Slopes of the residuals by each window's own state, in units of the states' scale (N·c, S)."""
-        by_states = np.empty((residuals.size, len(self.model.state_scale)))
+        by_states = np.empty((residuals.size, point.states.shape[1]))
         for s, scale in enumerate(self.model.state_scale):
             states = point.states.copy()
             states[:, s] += STATE_STEP * scale
@@ -129,6 +129,8 @@ class Problem:
     def state_gram(self, by_states: FloatArray, damping: FloatArray | None = None) -> FloatArray:
         """AᵀA of each window's own states (W, S, S), damped; invertible even where a state has no effect."""
         gram = self.per_window(by_states[:, :, None] * by_states[:, None, :])
+        if not by_states.shape[1]:
+            return gram
         diagonal = np.einsum("wss->ws", gram)
         if damping is not None:
             diagonal *= 1.0 + damping[:, None]
@@ -137,6 +139,8 @@ class Problem:
 
     def project(self, lin: Linearised, columns: FloatArray) -> FloatArray:
         """Take out of ``columns`` (N·c, k) what the windows' own states could explain."""
+        if not lin.by_states.shape[1]:
+            return columns
         gram = self.state_gram(lin.by_states)
         mixed = self.per_window(lin.by_states[:, :, None] * columns[:, None, :])
         share = np.linalg.solve(gram, mixed)

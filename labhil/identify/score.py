@@ -76,7 +76,7 @@ def score(
 
     ``sigma`` (channels,) is the measurement noise. Raises RecordingError when the record is too short.
     """
-    windows = scored_windows(record, horizon or model.horizon)
+    windows = scored_windows(record, horizon or model.horizon_at(theta))
     nothing = np.empty(0, dtype=np.int64)
     lead = Problem(model, record, windows.lead, nothing, theta, sigma)
     none = np.empty(0)

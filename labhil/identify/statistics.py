@@ -115,8 +115,8 @@ def estimates(
         rows.append(
             Estimate(
                 name=parameter.name,
-                term=parameter.name.partition(".")[0] if "." in parameter.name else None,
-                joint=None,
+                term=parameter.name.partition(".")[0] if parameter.term else None,
+                joint=parameter.joint,
                 value=value,
                 unit=parameter.unit,
                 std_error=error,
@@ -147,7 +147,7 @@ def identifiability(parameters: list[Parameter], values: FloatArray, jacobian: F
         return Identifiability(0, 0, (), ())
     _, singular, rows = np.linalg.svd(sensitivities, full_matrices=False)
     weak = singular <= 1e-6 * max(singular[0], 1e-300)
-    names = [p.name for p in parameters]
+    names = [p.key for p in parameters]
     combinations = [text for row in rows[weak] for text in invariants(names, row)]
     return Identifiability(int(np.sum(~weak)), len(values), tuple(dict.fromkeys(combinations)), ())
 

@@ -76,19 +76,7 @@ def split(record: Record, share: float, gap: float) -> tuple[Record, Record]:
     """Hold out the last ``share`` of a record, contiguous, after a gap of ``gap`` s."""
     start = record.t[-1] - share * (record.t[-1] - record.t[0])
     cut = int(np.searchsorted(record.t, start - gap))
-    return part(record, 0, cut), part(record, int(np.searchsorted(record.t, start)), len(record))
-
-
-def part(record: Record, first: int, last: int) -> Record:
-    """The samples first … last − 1 of a record."""
-    return Record(
-        record.t[first:last],
-        record.inputs[first:last],
-        record.outputs[first:last],
-        record.input_names,
-        record.output_names,
-        record.output_units,
-    )
+    return record.part(0, cut), record.part(int(np.searchsorted(record.t, start)), len(record))
 
 
 def noise_of(record: Record) -> FloatArray:

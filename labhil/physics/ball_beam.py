@@ -12,7 +12,7 @@ import numpy as np
 
 from labhil.physics import input_path, rolling
 from labhil.physics.friction_terms import friction_terms
-from labhil.physics.model import Record, Windows, index_of, start_values
+from labhil.physics.model import Metric, Record, Windows, index_of, start_values
 from labhil.physics.path_terms import input_terms, output_terms
 from labhil.physics.terms import Enters, Parameter, Term, Yardstick
 from labhil.rig import RigFile
@@ -96,19 +96,20 @@ def catalogue(per_unit_mass: bool) -> dict[str, Term]:
 class BallBeamModel:
     """The white-box model of one ball-and-beam rig (satisfies ``physics.model.Model``).
 
-    ``input_name`` is ``servo_angle`` or ``beam_angle``. Parameters that the rig file does not know
-    are estimated; without ``ball_mass`` everything is per unit of mass.
+    Driven by the ``servo_angle`` or the ``beam_angle`` of ``record``. Parameters that the rig file does
+    not know are estimated; without ``ball_mass`` everything is per unit of mass.
     """
 
     kind = "ball_beam"
     state_names = ("ball_position", "ball_velocity")
     state_scale = np.array([0.01, 0.05])
+    metric = Metric.WINDOWED_SIMULATION
     never_seen: Mapping[str, str] = {
         "sensor_offset": "a constant offset of position is taken up by each window's own initial state"
     }
 
-    def __init__(self, rig: RigFile, input_name: str) -> None:
-        self.linkage = input_name == "servo_angle"
+    def __init__(self, rig: RigFile, record: Record | None = None) -> None:
+        self.linkage = record is None or record.input_names[0] == "servo_angle"
         self.per_unit_mass = rig.known_number("ball_mass") is None
         self.terms: Mapping[str, Term] = catalogue(self.per_unit_mass)
         self.horizon = rig.metric.horizon or DEFAULT_HORIZON
@@ -125,6 +126,14 @@ class BallBeamModel:
             # with neither mass nor linkage known, the gain is per radian of the servo and absorbs both
             names += [name for name in ratio if name not in self.fixed]
         return names
+
+    def horizon_at(self, theta: FloatArray) -> float:
+        """Scored horizon, s: the same whatever is fitted."""
+        return self.horizon
+
+    def prepare(self, record: Record) -> Record:
+        """The record itself."""
+        return record
 
     def initial_states(self, record: Record, windows: Windows) -> FloatArray:
         """Position and slope of a straight line through the first samples of each window."""

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from typing import Protocol
 
 import numpy as np
 
 from labhil.errors import UnknownNameError
 from labhil.physics.terms import Parameter, Term, Yardstick
-from labhil.signals import FloatArray, IntArray
+from labhil.signals import FloatArray, Hold, IntArray
 
 
 @dataclass(frozen=True, slots=True)
 class Record:
     """One recording as a model sees it.
 
-    ``t`` (n,) s, increasing; ``inputs`` (n, inputs) and ``outputs`` (n, channels) in SI units.
+    ``t`` (n,) s, increasing; ``inputs`` (n, inputs) and ``outputs`` (n, channels) in SI units;
+    ``input_holds`` (inputs,) what each input does between samples; ``auxiliary`` holds other channels of
+    the rig, each (n,), by column name.
     """
 
     t: FloatArray
@@ -26,6 +29,8 @@ class Record:
     input_names: tuple[str, ...]
     output_names: tuple[str, ...]
     output_units: tuple[str, ...]
+    input_holds: tuple[Hold, ...] = (Hold.LINEAR,)
+    auxiliary: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.t)
@@ -34,6 +39,16 @@ class Record:
     def period(self) -> float:
         """Median time between samples, s."""
         return float(np.median(np.diff(self.t)))
+
+    def part(self, first: int, last: int) -> Record:
+        """The samples first … last − 1."""
+        return replace(
+            self,
+            t=self.t[first:last],
+            inputs=self.inputs[first:last],
+            outputs=self.outputs[first:last],
+            auxiliary={name: values[first:last] for name, values in self.auxiliary.items()},
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +76,13 @@ class Windows:
             return cls(first, last, first.copy(), first.copy())
         rows = np.concatenate([np.arange(a, b, dtype=np.int64) for a, b in spans])
         return cls(first, last, rows, np.repeat(np.arange(len(first), dtype=np.int64), last - first))
+
+
+class Metric(StrEnum):
+    """By which error a model is judged; pinned per rig."""
+
+    WINDOWED_SIMULATION = "windowed_simulation"
+    INVERSE_DYNAMICS = "inverse_dynamics"
 
 
 class Model(Protocol):
@@ -105,8 +127,21 @@ class Model(Protocol):
         ...
 
     @property
+    def metric(self) -> Metric:
+        """The error by which it is judged."""
+        ...
+
+    @property
     def horizon(self) -> float:
-        """Scored horizon of the windowed simulation, s."""
+        """Scored horizon of the windowed simulation (s) before anything is fitted, to cut windows by."""
+        ...
+
+    def horizon_at(self, theta: FloatArray) -> float:
+        """Scored horizon of the windowed simulation, s; the rig file's own where it states one."""
+        ...
+
+    def prepare(self, record: Record) -> Record:
+        """What is fitted and scored: the record itself, or filtered where accelerations are needed."""
         ...
 
     def initial_states(self, record: Record, windows: Windows) -> FloatArray:
@@ -133,8 +168,8 @@ class Model(Protocol):
 
 
 def index_of(parameters: Sequence[Parameter]) -> dict[str, int]:
-    """Where each parameter stands in a vector ``theta``."""
-    return {parameter.name: i for i, parameter in enumerate(parameters)}
+    """Where each parameter stands in a vector ``theta``, by key."""
+    return {parameter.key: i for i, parameter in enumerate(parameters)}
 
 
 def start_values(parameters: Sequence[Parameter]) -> FloatArray:
@@ -146,8 +181,8 @@ def starts_of(model: Model, terms: Sequence[Term], record: Record) -> list[dict[
     """Sets of values from which a fit of these terms may begin, the first with every level at zero."""
     measure = model.yardsticks(record)
     parameters = [p for term in terms for p in term.parameters]
-    begun = {p.name: tuple(s * measure[p.of] ** p.power for s in p.starts) for p in parameters}
-    neutral = {p.name: begun[p.name][0] if p.shape else 0.0 for p in parameters}
+    begun = {p.key: tuple(s * measure[p.of] ** p.power for s in p.starts) for p in parameters}
+    neutral = {p.key: begun[p.key][0] if p.shape and begun[p.key] else p.neutral for p in parameters}
     count = max((len(values) for values in begun.values()), default=0)
     return [neutral] + [
         {name: values[min(i, len(values) - 1)] if values else 0.0 for name, values in begun.items()}
@@ -156,8 +191,16 @@ def starts_of(model: Model, terms: Sequence[Term], record: Record) -> list[dict[
 
 
 def terms_named(model: Model, names: Sequence[str]) -> tuple[Term, ...]:
-    """The terms of a model by name, duplicates removed; UnknownNameError lists those that exist."""
+    """The terms of a model by name or key, duplicates removed; a name alone means all joints.
+
+    UnknownNameError lists the terms that exist.
+    """
+    by_name: dict[str, list[str]] = {}
+    for key, term in model.terms.items():
+        by_name.setdefault(term.name, []).append(key)
+    keys: list[str] = []
     for name in names:
-        if name not in model.terms:
-            raise UnknownNameError(f"term of {model.kind}", name, model.terms)
-    return tuple(model.terms[name] for name in dict.fromkeys(names))
+        if name not in model.terms and name not in by_name:
+            raise UnknownNameError(f"term of {model.kind}", name, by_name)
+        keys += [name] if name in model.terms else by_name[name]
+    return tuple(model.terms[key] for key in dict.fromkeys(keys))

@@ -3,48 +3,79 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import import_module
 
 import numpy as np
 
 from labhil.errors import RecordingError
-from labhil.physics.ball_beam import BallBeamModel
+from labhil.kinds import RigKind
 from labhil.physics.model import Model, Record, Windows, index_of, start_values, starts_of
-from labhil.recording.reader import Recording
-from labhil.rig import RigFile, RigKind, default_rig
+from labhil.recording.reader import Recording, StreamData
+from labhil.rig import RigFile, default_rig
+from labhil.signals import Signal
 
-MODELS: Mapping[str, Callable[[RigFile, str], Model]] = {"ball_beam": BallBeamModel}
+ALL_SPEEDS = ("stribeck_friction", "quadratic_viscous_friction", "cubic_viscous_friction")
 
-BASELINE: Mapping[str, tuple[str, ...]] = {"ball_beam": ("viscous_friction",)}
-"""What a model holds when nobody says otherwise and something is to be found missing."""
 
-GENERAL: Mapping[str, tuple[str, ...]] = {
-    "ball_beam": (
-        "viscous_friction",
-        "coulomb_friction",
-        "stribeck_friction",
-        "quadratic_viscous_friction",
-        "cubic_viscous_friction",
-        "dead_zone",
-        "time_delay",
-    )
+@dataclass(frozen=True, slots=True)
+class RigModel:
+    """How a rig kind is modelled.
+
+    ``model`` names its class as "module:class", imported when needed. ``baseline`` are the terms that a
+    model holds when nobody says otherwise and something is to be found missing, ``general`` those when
+    it is to be fitted and nobody says otherwise (the reference text's general models).
+    """
+
+    model: str
+    baseline: tuple[str, ...]
+    general: tuple[str, ...]
+
+    def load(self) -> Callable[[RigFile, Record | None], Model]:
+        """The class: rig file and the record that sizes are taken from (None: typical sizes) to a model."""
+        module, _, name = self.model.partition(":")
+        found: Callable[[RigFile, Record | None], Model] = getattr(import_module(module), name)
+        return found
+
+
+VISCOUS = ("viscous_friction",)
+DRY = ("viscous_friction", "coulomb_friction")
+MODELS: Mapping[str, RigModel] = {
+    "ball_beam": RigModel(
+        "labhil.physics.ball_beam:BallBeamModel",
+        VISCOUS,
+        (*DRY, *ALL_SPEEDS, "dead_zone", "time_delay"),
+    ),
+    "dc_motor": RigModel("labhil.physics.dc_motor:DcMotorModel", VISCOUS, (*DRY, *ALL_SPEEDS)),
+    "solenoid": RigModel("labhil.physics.solenoid:SolenoidModel", VISCOUS, (*DRY, "stribeck_friction")),
+    "axis": RigModel(
+        "labhil.physics.axis:AxisModel", (*DRY, "constant_force"), (*DRY, "constant_force", *ALL_SPEEDS)
+    ),
+    "ur5": RigModel(
+        "labhil.physics.arm:ArmModel", (*DRY, "sensor_offset"), (*DRY, "sensor_offset", *ALL_SPEEDS)
+    ),
 }
-"""What a model holds when it is to be fitted and nobody says otherwise (the reference text's)."""
 
 
-def model_for(rig: RigFile, input_name: str) -> Model:
-    """The model of this rig, driven by the signal ``input_name``."""
-    return MODELS[rig.kind.name](rig, input_name)
+def model_for(rig: RigFile, record: Record | None = None) -> Model:
+    """The model of this rig, with sizes for starts and scales taken from ``record`` where there is one."""
+    return MODELS[rig.kind.name].load()(rig, record)
 
 
-def compile_kernels() -> None:
-    """Simulate a moment of every rig, so that the compiled kernels stand in their cache."""
-    for kind in MODELS:
+def compile_kernels(kinds: tuple[str, ...] = ("ball_beam",)) -> None:
+    """Simulate a moment of these rigs, so that the compiled kernels stand in their cache."""
+    for kind in kinds:
         rig = default_rig(kind)
-        model = model_for(rig, rig.kind.inputs[0].name)
         t = np.linspace(0.0, 1.0, 30)
-        inputs, outputs = np.sin(t)[:, None], np.zeros((30, len(rig.kind.outputs)))
-        names = tuple(signal.name for signal in rig.kind.outputs)
-        record = Record(t, inputs, outputs, (rig.kind.inputs[0].name,), names, ("",) * len(names))
+        record = Record(
+            t,
+            np.column_stack([np.sin(t) for _ in rig.kind.driven_by[0]]),
+            np.column_stack([np.sin(t) for _ in rig.kind.outputs]),
+            rig.kind.driven_by[0],
+            tuple(signal.name for signal in rig.kind.outputs),
+            tuple(signal.unit for signal in rig.kind.outputs),
+        )
+        model = model_for(rig, record)
         windows = Windows.of([(0, 30)])
         states = model.initial_states(record, windows)
         everything = start_values(model.parameters)
@@ -56,29 +87,52 @@ def compile_kernels() -> None:
 
 def record_of(recording: Recording, kind: RigKind) -> Record:
     """Take the signals of a rig out of a recording; RecordingError says which are missing."""
-    outputs = kind.outputs
-    wanted = " or ".join(signal.name for signal in kind.inputs)
     for stream in recording.streams:
-        names = stream.stream.names()
-        inputs = [signal for signal in kind.inputs if signal.name in names]
-        if not inputs or any(signal.name not in names for signal in outputs):
+        names = set(stream.stream.names())
+        driven_by = next((inputs for inputs in kind.driven_by if names >= set(inputs)), None)
+        outputs = [signal for signal in kind.outputs if signal.name in names]
+        if driven_by is None or not outputs or (len(outputs) < len(kind.outputs) and not kind.any_output):
             continue
-        chosen = inputs[0]
         if not len(stream):
             raise RecordingError(
                 f"{recording.path}: expected samples in {stream.device}/{stream.stream.name}, found 0"
             )
-        return Record(
-            t=np.ascontiguousarray(stream.t),
-            inputs=np.column_stack([stream[chosen.name]]),
-            outputs=np.column_stack([stream[signal.name] for signal in outputs]),
-            input_names=(chosen.name,),
-            output_names=tuple(signal.name for signal in outputs),
-            output_units=tuple(signal.unit for signal in outputs),
-        )
-    found = "; ".join(f"{s.device}/{s.stream.name}: {', '.join(s.stream.names())}" for s in recording.streams)
-    needed = ", ".join(signal.name for signal in outputs)
-    raise RecordingError(
-        f"{recording.path}: a {kind.name} needs {needed} and {wanted} in one stream; "
-        f"found {found or 'no stream'}"
+        inputs = [signal for signal in kind.inputs if signal.name in driven_by]
+        inputs += [signal for signal in kind.optional if signal.name in names]
+        others = [signal for signal in kind.auxiliary if signal.name in names]
+        return _record(stream, inputs, outputs, others)
+    raise RecordingError(f"{recording.path}: {_needed(kind)}; found {_found(recording)}")
+
+
+def _record(stream: StreamData, inputs: list[Signal], outputs: list[Signal], others: list[Signal]) -> Record:
+    holds = {signal.name: signal.hold for signal in stream.stream.signals}
+    auxiliary = {
+        column: np.ascontiguousarray(values)
+        for signal in others
+        for column, values in zip(signal.columns(), _columns(stream, signal).T, strict=True)
+    }
+    return Record(
+        t=np.ascontiguousarray(stream.t),
+        inputs=np.hstack([_columns(stream, signal) for signal in inputs]),
+        outputs=np.hstack([_columns(stream, signal) for signal in outputs]),
+        input_names=tuple(column for signal in inputs for column in signal.columns()),
+        output_names=tuple(column for signal in outputs for column in signal.columns()),
+        output_units=tuple(signal.unit for signal in outputs for _ in signal.columns()),
+        input_holds=tuple(holds[signal.name] for signal in inputs for _ in signal.columns()),
+        auxiliary=auxiliary,
     )
+
+
+def _columns(stream: StreamData, signal: Signal) -> np.ndarray:
+    return np.asarray(stream[signal.name]).reshape(len(stream), signal.width)
+
+
+def _needed(kind: RigKind) -> str:
+    inputs = " or ".join(" with ".join(names) for names in kind.driven_by)
+    outputs = (" or " if kind.any_output else " and ").join(signal.name for signal in kind.outputs)
+    return f"a {kind.name} needs {outputs} and {inputs} in one stream"
+
+
+def _found(recording: Recording) -> str:
+    streams = [f"{s.device}/{s.stream.name}: {', '.join(s.stream.names())}" for s in recording.streams]
+    return "; ".join(streams) or "no stream"

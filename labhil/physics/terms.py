@@ -43,7 +43,8 @@ class Parameter:
     hand (to the ``power``: −1 for one over a limit). ``step`` is the difference, in scales, with
     which slopes are taken: wide where the simulation has kinks close to each other. ``shape`` marks a
     parameter that has no meaning while its term's level is zero (Stribeck velocity): while the term
-    is absent it stays at ``scale``.
+    is absent it stays at ``scale``. ``linear`` says that the simulated outputs are affine in it, so
+    that an estimator may project it out. ``joint`` (from 0) tells apart the same law of several joints.
     """
 
     name: str
@@ -56,6 +57,19 @@ class Parameter:
     power: int = 1
     step: float = 1e-4
     shape: bool = False
+    linear: bool = False
+    joint: int | None = None
+
+    @property
+    def key(self) -> str:
+        """Its name, unique among the parameters of a model: with the joint in brackets."""
+        return keyed(self.name, self.joint)
+
+    @property
+    def term(self) -> str | None:
+        """Key of the term that it belongs to; None for a rig's own parameter."""
+        term, dot, _ = self.name.partition(".")
+        return keyed(term, self.joint) if dot else None
 
     @property
     def neutral(self) -> float:
@@ -68,8 +82,8 @@ class Term:
     """One named effect.
 
     ``needs`` are channels without which the data cannot speak of it; ``revealed_by`` is the
-    excitation that shows it; ``with_terms`` names terms that it builds on (Stribeck on Coulomb):
-    they are tried together as well as alone.
+    excitation that shows it; ``with_terms`` are the keys of terms that it builds on (Stribeck on
+    Coulomb): they are tried together as well as alone.
     """
 
     name: str
@@ -81,13 +95,14 @@ class Term:
     parameters: tuple[Parameter, ...]
     needs: tuple[str, ...] = ()
     with_terms: tuple[str, ...] = field(default=())
+    joint: int | None = None
 
-    def parameter_names(self) -> tuple[str, ...]:
-        """Names of its parameters, ``term.parameter``."""
-        return tuple(parameter.name for parameter in self.parameters)
+    @property
+    def key(self) -> str:
+        """Its name, unique among the terms of a model: with the joint in brackets."""
+        return keyed(self.name, self.joint)
 
 
-def term_of(parameter_name: str) -> str | None:
-    """``coulomb_friction.level`` belongs to ``coulomb_friction``; a rig's own parameter to none."""
-    term, dot, _ = parameter_name.partition(".")
-    return term if dot else None
+def keyed(name: str, joint: int | None) -> str:
+    """``coulomb_friction`` of joint 2 is ``coulomb_friction[2]``; what belongs to no joint keeps its name."""
+    return name if joint is None else f"{name}[{joint}]"

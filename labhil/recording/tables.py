@@ -185,10 +185,12 @@ def _signals(sheet: _Sheet) -> tuple[_Mapped, ...]:
         if (channel := _channel_of(sheet, signal)) is not None
     )
     found = {one.signal.name for one in mapped}
-    for what, signals in (("an input", sheet.rig.kind.inputs), ("an output", sheet.rig.kind.outputs)):
-        names = [signal.name for signal in signals]
-        if not found & set(names):
-            raise TableError(_missing(sheet, what, names))
+    kind = sheet.rig.kind
+    outputs = [signal.name for signal in kind.outputs]
+    if not any(found >= set(names) for names in kind.driven_by):
+        raise TableError(_missing(sheet, "an input", [" and ".join(names) for names in kind.driven_by]))
+    if not found & set(outputs):
+        raise TableError(_missing(sheet, "an output", outputs))
     return mapped
 
 

@@ -6,9 +6,10 @@ from typing import Any
 
 from rich.console import Console
 
-from labhil.physics.rigs import BASELINE, GENERAL, MODELS
+from labhil.kinds import kind_named
+from labhil.physics.rigs import MODELS, model_for
 from labhil.physics.terms import Term
-from labhil.rig import default_rig, kind_named
+from labhil.rig import default_rig
 
 
 def terms_by_rig(kind: str | None) -> dict[str, dict[str, Term]]:
@@ -17,7 +18,7 @@ def terms_by_rig(kind: str | None) -> dict[str, dict[str, Term]]:
     found = {}
     for name in kinds:
         rig = default_rig(name)
-        found[name] = dict(MODELS[name](rig, rig.kind.inputs[0].name).terms)
+        found[name] = dict(model_for(rig).terms)
     return found
 
 
@@ -25,8 +26,8 @@ def catalogue_json(kind: str | None) -> dict[str, Any]:
     """The catalogue as plain JSON data."""
     rigs = {
         rig: {
-            "baseline": list(BASELINE[rig]),
-            "general": list(GENERAL[rig]),
+            "baseline": list(MODELS[rig].baseline),
+            "general": list(MODELS[rig].general),
             "terms": [_term_json(term) for term in terms.values()],
         }
         for rig, terms in terms_by_rig(kind).items()
@@ -51,7 +52,7 @@ def show_catalogue(kind: str | None) -> None:
     """Print the catalogue."""
     console = Console(highlight=False)
     for rig, terms in terms_by_rig(kind).items():
-        console.print(f"[bold]{rig}[/bold]  baseline: {', '.join(BASELINE[rig])}")
+        console.print(f"[bold]{rig}[/bold]  baseline: {', '.join(MODELS[rig].baseline)}")
         for term in terms.values():
             console.print(f"\n[bold]{term.name}[/bold] ({term.enters.value}): {term.statement}")
             console.print(f"  {term.equation}   — {term.source}", markup=False)

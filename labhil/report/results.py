@@ -16,6 +16,7 @@ from labhil.errors import ModelFileError
 from labhil.identify.fit import Fit
 from labhil.identify.score import Score
 from labhil.identify.statistics import Estimate
+from labhil.physics.terms import keyed
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +165,7 @@ def values_of(path: Path) -> dict[str, float]:
                 f"{path}: parameters: expected rows with a `name` and a finite `value`, found {row!r}"
             )
         if value is not None:
-            values[name] = float(value)
+            values[keyed(name, row.get("joint"))] = float(value)
     return values
 
 

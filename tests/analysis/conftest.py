@@ -20,7 +20,7 @@ KNOWN = "[known]\nball_mass = 0.261\nball_radius = 0.02\ncrank_radius = 0.08\nbe
 
 @pytest.fixture(scope="session")
 def model() -> BallBeamModel:
-    return BallBeamModel(parse_rig('[rig]\nkind = "ball_beam"\n' + KNOWN, Path("rig.toml")), "servo_angle")
+    return BallBeamModel(parse_rig('[rig]\nkind = "ball_beam"\n' + KNOWN, Path("rig.toml")))
 
 
 @pytest.fixture(scope="session")

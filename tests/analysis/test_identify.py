@@ -81,7 +81,7 @@ def test_projection_leaves_what_the_windows_own_states_cannot_explain(model, acq
 
 def test_only_the_ratio_is_known_when_neither_length_of_the_linkage_is(acquire):
     text = '[rig]\nkind = "ball_beam"\n[known]\nball_mass = 0.261\nball_radius = 0.02\n'
-    model = BallBeamModel(parse_rig(text, Path("rig.toml")), "servo_angle")
+    model = BallBeamModel(parse_rig(text, Path("rig.toml")))
     record = acquire(("viscous_friction", "coulomb_friction"), 7, duration=20.0)
     result = fit(model, record, ("viscous_friction", "coulomb_friction"), test=record, window=3.0)
     assert result.identifiability.rank == result.identifiability.of - 1

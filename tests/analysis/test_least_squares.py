@@ -16,7 +16,7 @@ from labhil.identify import statistics
 from labhil.identify.least_squares import least_squares
 from labhil.identify.problem import Problem
 from labhil.identify.score import score
-from labhil.identify.windows import part, split
+from labhil.identify.windows import split
 from labhil.physics.model import Record, Windows
 from labhil.physics.terms import Parameter
 
@@ -32,6 +32,9 @@ class Straight:
     state_scale = np.array([1.0, 1.0])
     terms = MappingProxyType({})
     horizon = 1.0
+
+    def horizon_at(self, theta) -> float:
+        return self.horizon
 
     def __init__(self, lower: float = -np.inf, upper: float = np.inf) -> None:
         self.parameters = (
@@ -186,4 +189,4 @@ def test_what_is_held_out_is_the_end_after_a_gap(n, share, gap):
     assert judge.t[-1] == t[-1]
     assert judge.t[0] == pytest.approx((1.0 - share) * t[-1], abs=0.0101)
     assert not len(learn) or judge.t[0] - learn.t[-1] >= gap
-    assert np.array_equal(part(record, n - len(judge), n).t, judge.t)
+    assert np.array_equal(record.part(n - len(judge), n).t, judge.t)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from labhil.errors import CommandRefusedError
-from labhil.rig import BALL_BEAM, Limit
+from labhil.kinds import BALL_BEAM
+from labhil.rig import Limit
 from labhil.service.lease import DURATION, Lease
 from labhil.service.limits import CommandLimits, SampleLimits
 from labhil.service.messages import HostConfig, Setpoint

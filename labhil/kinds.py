@@ -1,0 +1,152 @@
+"""Rig kinds: what signals each has, which of them an analysis needs, and what a rig file may know of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from labhil.errors import UnknownNameError
+from labhil.signals import Direction, Hold, Signal
+
+JOINTS = 6
+INPUT, OUTPUT, STATUS = Direction.INPUT, Direction.OUTPUT, Direction.STATUS
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What ``[known]`` may say of one name: a number, ``width`` numbers, or the path of a table."""
+
+    unit: str
+    width: int = 1
+    positive: bool = True
+    table: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class RigKind:
+    """What every rig of one kind has.
+
+    ``driven_by`` lists the sets of inputs of which one is needed, the preferred first; of ``outputs``
+    all are needed, or one at least with ``any_output``. ``optional`` inputs and ``auxiliary`` signals
+    are used when they are there.
+    """
+
+    name: str
+    inputs: tuple[Signal, ...]
+    driven_by: tuple[tuple[str, ...], ...]
+    outputs: tuple[Signal, ...]
+    known: Mapping[str, Known]
+    auxiliary: tuple[Signal, ...] = ()
+    optional: tuple[Signal, ...] = ()
+    any_output: bool = field(default=False)
+
+    def signals(self) -> tuple[Signal, ...]:
+        """All signals that a recording of this rig may hold."""
+        return self.inputs + self.optional + self.outputs + self.auxiliary
+
+
+BALL_BEAM = RigKind(
+    name="ball_beam",
+    inputs=(
+        Signal("servo_angle", "rad", INPUT, description="gear-disc angle in effect at the servo"),
+        Signal("beam_angle", "rad", INPUT, description="angle of the beam, measured directly"),
+    ),
+    driven_by=(("servo_angle",), ("beam_angle",)),
+    outputs=(Signal("ball_position", "m", OUTPUT, description="from the pivot along the beam"),),
+    known={
+        "ball_mass": Known("kg"),
+        "ball_radius": Known("m"),
+        "crank_radius": Known("m"),
+        "beam_length": Known("m"),
+    },
+)
+
+DC_MOTOR = RigKind(
+    name="dc_motor",
+    inputs=(Signal("voltage", "V", INPUT, hold=Hold.ZERO, description="at the motor's terminals"),),
+    driven_by=(("voltage",),),
+    outputs=(
+        Signal("speed", "rad/s", OUTPUT, description="of the shaft"),
+        Signal("current", "A", OUTPUT, description="through the winding"),
+    ),
+    any_output=True,
+    auxiliary=(
+        Signal("angle", "rad", STATUS, description="of the shaft"),
+        Signal("winding_temperature", "°C", STATUS, description="of the winding"),
+    ),
+    known={
+        "inertia": Known("kg·m²"),
+        "torque_constant": Known("N·m/A"),
+        "inductance": Known("H"),
+        "resistance": Known("Ω"),
+    },
+)
+
+SOLENOID = RigKind(
+    name="solenoid",
+    inputs=(Signal("coil_current", "A", INPUT, description="through the coil, measured"),),
+    driven_by=(("coil_current",),),
+    outputs=(Signal("plunger_position", "m", OUTPUT, description="from the rest stop"),),
+    auxiliary=(
+        Signal("coil_current_command", "A", STATUS, hold=Hold.ZERO, description="asked of the current loop"),
+        Signal("coil_voltage", "V", STATUS, description="at the coil's terminals"),
+        Signal("magnetic_force", "N", STATUS, description="of a load cell"),
+    ),
+    known={
+        "moving_mass": Known("kg"),
+        "spring_stiffness": Known("N/m"),
+        "stop_low": Known("m", positive=False),
+        "stop_high": Known("m", positive=False),
+        "force_map": Known("", table=True),
+    },
+)
+
+AXIS = RigKind(
+    name="axis",
+    inputs=(
+        Signal("drive_force", "N", INPUT, hold=Hold.ZERO, description="of the drive (N·m when it turns)"),
+        Signal("drive_voltage", "V", INPUT, hold=Hold.ZERO, description="asked of the drive"),
+    ),
+    driven_by=(("drive_force",), ("drive_voltage",)),
+    outputs=(Signal("position", "m", OUTPUT, description="of the carriage (rad when it turns)"),),
+    auxiliary=(
+        Signal("velocity", "m/s", STATUS, description="of the carriage"),
+        Signal("drive_current", "A", STATUS, description="of the drive"),
+        Signal("temperature", "°C", STATUS, description="of what rubs"),
+    ),
+    known={"drive_gain": Known("N/V"), "moving_mass": Known("kg")},
+)
+
+
+def _joints(name: str, unit: str, direction: Direction, description: str) -> Signal:
+    return Signal(name, unit, direction, width=JOINTS, description=description)
+
+
+UR5 = RigKind(
+    name="ur5",
+    inputs=(
+        _joints("actual_q", "rad", INPUT, "joint angles"),
+        _joints("actual_qd", "rad/s", INPUT, "joint velocities"),
+    ),
+    driven_by=(("actual_q", "actual_qd"),),
+    optional=(_joints("target_qdd", "rad/s²", INPUT, "joint accelerations that the controller plans"),),
+    outputs=(_joints("actual_current", "A", OUTPUT, "motor currents"),),
+    auxiliary=(
+        _joints("joint_temperatures", "°C", STATUS, "of the joints"),
+        _joints("target_q", "rad", STATUS, "joint angles that the controller plans"),
+        _joints("target_qd", "rad/s", STATUS, "joint velocities that the controller plans"),
+        _joints("target_current", "A", STATUS, "currents that the controller expects"),
+        _joints("target_moment", "N·m", STATUS, "torques that the controller expects"),
+        Signal("actual_main_voltage", "V", STATUS, description="of the supply"),
+    ),
+    known={"torque_constant": Known("N·m/A", width=JOINTS), "links": Known("", table=True)},
+)
+
+KINDS: Mapping[str, RigKind] = {kind.name: kind for kind in (BALL_BEAM, DC_MOTOR, SOLENOID, AXIS, UR5)}
+
+
+def kind_named(name: str) -> RigKind:
+    """Return the rig kind ``name``; UnknownNameError lists those that exist."""
+    if name not in KINDS:
+        raise UnknownNameError("rig kind", name, KINDS)
+    return KINDS[name]
