@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from labhil.identify import statistics
-from labhil.identify.least_squares import Solution, least_squares
+from labhil.identify.identifiability import Identifiability, identifiability, weak_parameters
+from labhil.identify.least_squares import Solution, least_squares, settle
 from labhil.identify.problem import Point, Problem
 from labhil.identify.score import Score, score
 from labhil.identify.windows import fit_windows, noise_of
@@ -62,7 +63,7 @@ class Fit:
     terms: tuple[str, ...]
     estimates: list[statistics.Estimate]
     covariance: FloatArray
-    identifiability: statistics.Identifiability
+    identifiability: Identifiability
     theta: FloatArray
     window: float
     by_window: list[WindowEstimate]
@@ -160,7 +161,7 @@ def covariances(fitted: Fitted) -> tuple[FloatArray, FloatArray, FloatArray]:
     unit[unit == 0.0] = 1.0
     scaled = jacobian / unit
     robust = statistics.robust_covariance(scaled, solution.residuals, fitted.dof)
-    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-14, hermitian=True)
+    inverse = statistics.inverse_information(scaled)
     lost = np.linalg.norm(jacobian, axis=0) == 0.0
     for matrix in (robust, inverse):
         matrix[lost, lost] = np.inf
@@ -191,6 +192,8 @@ def fit(
     if rungs[-1].noise > SETTLED:
         rungs[-1] = _from_other_shapes(model, record, rungs, lengths, sigma, progress)
     chosen = longest_trusted(rungs)
+    progress("looking for lower minima nearby")
+    rungs[chosen] = settled(rungs[chosen])
     progress("statistics and scores")
     by_window = [_window_estimate(r, length) for r, length in zip(rungs, lengths, strict=True)]
     return _finish(model, record, test, rungs, chosen, lengths[chosen], by_window, sigma)
@@ -250,6 +253,17 @@ def longest_trusted(rungs: Sequence[Fitted]) -> int:
     return max(trusted)
 
 
+def settled(fitted: Fitted) -> Fitted:
+    """The same model where it has settled in the lowest minimum within its own uncertainty."""
+    _, classical, _ = covariances(fitted)
+    scale = fitted.problem.scale
+    relative = np.nan_to_num(classical / np.outer(scale, scale), posinf=1.0)
+    variances, directions = np.linalg.eigh(relative) if len(scale) else (np.empty(0), np.empty((0, 0)))
+    spread = directions * np.sqrt(np.clip(variances, 0.0, 1.0))
+    solution = settle(fitted.problem, fitted.solution, spread)
+    return replace(fitted, theta=fitted.problem.theta(solution.point.z), solution=solution)
+
+
 def _window_estimate(fitted: Fitted, length: float) -> WindowEstimate:
     robust, _, _ = covariances(fitted)
     names = [fitted.problem.model.parameters[i].key for i in fitted.problem.free]
@@ -269,7 +283,8 @@ def table_of(fitted: Fitted) -> tuple[list[statistics.Estimate], FloatArray, Flo
     chosen = [fitted.problem.model.parameters[i] for i in fitted.problem.free]
     values = fitted.theta[fitted.problem.free]
     n = len(fitted.solution.residuals)
-    return statistics.estimates(chosen, values, robust, classical, n), robust, jacobian
+    unknown = weak_parameters(chosen, values, jacobian, fitted.noise)
+    return statistics.estimates(chosen, values, robust, classical, n, unknown), robust, jacobian
 
 
 def _finish(
@@ -291,7 +306,7 @@ def _finish(
         terms=fitted.terms,
         estimates=rows,
         covariance=robust,
-        identifiability=statistics.identifiability(chosen, fitted.theta[fitted.problem.free], jacobian),
+        identifiability=identifiability(chosen, fitted.theta[fitted.problem.free], jacobian, fitted.noise),
         theta=fitted.theta,
         window=window,
         by_window=by_window,

@@ -23,6 +23,18 @@ OUTLYING = 2.0
 OTHER_VELOCITIES = (-0.8, -0.4, -0.2, 0.2, 0.4, 0.8)
 """Where they begin anew, in scales of the state beside the measured velocity."""
 
+TRIALS = 24
+"""States that are tried anew in every window when a fit settles."""
+
+NEAR, FAR = 0.05, 0.5
+"""How far from the best so far they begin, in scales of the state: two thirds near, one third far."""
+
+SHAKES = 4
+"""Times that a settled fit is pushed away, by about its own uncertainty, to see where it comes back to."""
+
+SAME = 0.3
+"""Costs (squares of units of noise) that differ by less are the same minimum."""
+
 WORTH = 0.5
 """A step that lowers the cost by less than this share of what it promised is polished."""
 
@@ -87,6 +99,54 @@ def least_squares(
                 return Solution(point, residuals, iteration + 1, True)
             point, residuals, damping = rescued
     return Solution(point, residuals, iterations, False)
+
+
+def settle(problem: Problem, solution: Solution, spread: FloatArray, *, seed: int = 0) -> Solution:
+    """Look for lower minima around a solution; the better one of both is returned.
+
+    The cost has many shallow minima where windows begin near a stop: each window looks for a better
+    state, and the parameters are pushed away by about their uncertainty, which the columns of
+    ``spread`` (P, P) span, in scaled units. ``seed`` fixes the draws.
+    """
+    random = np.random.default_rng(seed)
+    best = _deepened(problem, solution, random)
+    for _ in range(SHAKES):
+        z = best.point.z + spread @ random.standard_normal(len(best.point.z))
+        begin = Point(np.clip(z, problem.lower, problem.upper), best.point.states)
+        trial = least_squares(problem, begin, iterations=12, settled=True, thorough=False)
+        if trial.cost < best.cost - SAME:
+            best = _deepened(problem, trial, random)
+    return best
+
+
+def _deepened(problem: Problem, solution: Solution, random: np.random.Generator) -> Solution:
+    """Better states and better parameters in turn, until neither lowers the cost any more."""
+    best = solution
+    for _ in range(6):
+        states = search_states(problem, best.point.z, best.point.states, random)
+        begin = Point(best.point.z, states)
+        trial = least_squares(problem, begin, iterations=20, settled=True, thorough=False)
+        if trial.cost > best.cost - SAME:
+            return trial if trial.cost < best.cost else best
+        best = trial
+    return best
+
+
+def search_states(
+    problem: Problem, z: FloatArray, states: FloatArray, random: np.random.Generator
+) -> FloatArray:
+    """Every window's best initial state among many local minima near it, (W, S); parameters held."""
+    every = np.ones(states.shape[1], dtype=bool)
+    best, costs = states, _window_costs(problem, z, states)
+    for k in range(TRIALS if states.shape[1] else 0):
+        centre = problem.guess if k % 2 else best
+        reach = (FAR if k % 3 == 0 else NEAR) * problem.model.state_scale
+        trial = centre + random.standard_normal(best.shape) * reach
+        trial = _damped_states(problem, z, trial, 6, every)
+        trial_costs = _window_costs(problem, z, trial)
+        better = trial_costs < costs
+        best, costs = np.where(better[:, None], trial, best), np.where(better, trial_costs, costs)
+    return best
 
 
 def _rescued(problem: Problem, point: Point, residuals: FloatArray) -> tuple[Point, FloatArray, float] | None:

@@ -12,7 +12,6 @@ not allowed to shrink a variance below the classical σ̂²(JᵀJ)⁻¹.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from scipy import stats
@@ -21,6 +20,7 @@ from labhil.physics.terms import Parameter
 from labhil.signals import FloatArray
 
 ALPHA = 0.01
+FAINTEST = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,28 +46,30 @@ class Estimate:
     at_bound: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Identifiability:
-    """Rank of the scaled sensitivities, and products of powers that are known where single values are not."""
-
-    rank: int
-    of: int
-    combinations: tuple[str, ...]
-    would_help: tuple[str, ...]
-
-
 def robust_covariance(jacobian: FloatArray, residuals: FloatArray, dof: int) -> FloatArray:
     """Covariance (P, P) of least-squares estimates whose residuals (N,) may be correlated in time.
 
     ``jacobian`` (N, P) is the projected one; ``dof`` the residual degrees of freedom.
     """
     n = len(residuals)
-    inverse = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-14, hermitian=True)
+    inverse = inverse_information(jacobian)
     classical = inverse * float(residuals @ residuals) / dof
     scores = jacobian * residuals[:, None]
     robust = inverse @ long_run_variance(scores) @ inverse * (n / dof)
-    shortfall = np.sqrt(np.maximum(1.0, np.diag(classical) / np.maximum(np.diag(robust), 1e-300)))
+    least = np.diag(classical)
+    shortfall = np.sqrt(np.maximum(1.0, least / np.maximum(np.diag(robust), 1e-12 * least + 1e-300)))
     return np.asarray(robust * np.outer(shortfall, shortfall))
+
+
+def inverse_information(jacobian: FloatArray) -> FloatArray:
+    """(JᵀJ)⁻¹ of a Jacobian (N, P) whose columns have about unit length.
+
+    A direction that changes nothing gets a huge variance instead of none: slopes from differences are
+    known to about 1e-7, so nothing under 1e-9 of the largest singular value is told from zero.
+    """
+    _, singular, rows = np.linalg.svd(jacobian, full_matrices=False)
+    singular = np.maximum(singular, FAINTEST * max(float(singular.max(initial=0.0)), 1e-300))
+    return np.asarray((rows.T / singular**2) @ rows)
 
 
 def long_run_variance(scores: FloatArray) -> FloatArray:
@@ -99,9 +101,17 @@ def bandwidth(scores: FloatArray) -> int:
 
 
 def estimates(
-    parameters: list[Parameter], values: FloatArray, covariance: FloatArray, classical: FloatArray, n: int
+    parameters: list[Parameter],
+    values: FloatArray,
+    covariance: FloatArray,
+    classical: FloatArray,
+    n: int,
+    unknown: np.ndarray,
 ) -> list[Estimate]:
-    """Put values, robust ``covariance`` and ``classical`` covariance (P, P) into a row per parameter."""
+    """Put values, robust ``covariance`` and ``classical`` covariance (P, P) into a row per parameter.
+
+    ``unknown`` (P,) marks parameters that take part in a direction which the data do not know.
+    """
     rows = []
     quantile = float(stats.norm.ppf(1.0 - ALPHA / 2.0))
     for i, parameter in enumerate(parameters):
@@ -111,7 +121,7 @@ def estimates(
         at_bound = bool(value <= parameter.lower + 1e-9 * parameter.scale) or bool(
             value >= parameter.upper - 1e-9 * parameter.scale
         )
-        identifiable = 0.0 < error < max(parameter.scale, abs(value))
+        identifiable = 0.0 < error < max(parameter.scale, abs(value)) and not unknown[i]
         rows.append(
             Estimate(
                 name=parameter.name,
@@ -133,44 +143,6 @@ def estimates(
             )
         )
     return rows
-
-
-def identifiability(parameters: list[Parameter], values: FloatArray, jacobian: FloatArray) -> Identifiability:
-    """Singular values of the sensitivities by log-parameters (N, P), columns scaled to the values.
-
-    Directions whose singular value is under 1e-6 of the largest change nothing in the output; what
-    is constant along them is what the data know.
-    """
-    scale = np.array([abs(v) if v else p.scale for v, p in zip(values, parameters, strict=True)])
-    sensitivities = jacobian * scale
-    if not len(values):
-        return Identifiability(0, 0, (), ())
-    _, singular, rows = np.linalg.svd(sensitivities, full_matrices=False)
-    weak = singular <= 1e-6 * max(singular[0], 1e-300)
-    names = [p.key for p in parameters]
-    combinations = [text for row in rows[weak] for text in invariants(names, row)]
-    return Identifiability(int(np.sum(~weak)), len(values), tuple(dict.fromkeys(combinations)), ())
-
-
-def invariants(names: list[str], direction: FloatArray) -> list[str]:
-    """Products of powers that stay constant when log-parameters move along ``direction``.
-
-    >>> invariants(["a", "b", "c"], np.array([0.7, 0.7, 0.0]))
-    ['a/b']
-    """
-    largest = float(np.abs(direction).max())
-    relative = direction / largest
-    members = [i for i in range(len(names)) if abs(relative[i]) > 0.05]
-    texts = []
-    for a, b in pairwise(members):
-        ratio = relative[a] / relative[b]
-        if abs(ratio - 1.0) < 0.05:
-            texts.append(f"{names[a]}/{names[b]}")
-        elif abs(ratio + 1.0) < 0.05:
-            texts.append(f"{names[a]}·{names[b]}")
-        else:
-            texts.append(f"{names[a]}/{names[b]}^{ratio:.2g}")
-    return texts
 
 
 def whiteness(residuals: FloatArray, lags: int = 20) -> float:
