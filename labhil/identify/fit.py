@@ -9,6 +9,13 @@ import numpy as np
 
 from labhil.identify import statistics
 from labhil.identify.identifiability import Identifiability, identifiability, weak_parameters
+from labhil.identify.intervals import (
+    Intervals,
+    bootstrap_intervals,
+    profile_interval,
+    quantile,
+    simultaneous_quantile,
+)
 from labhil.identify.least_squares import Solution, least_squares, settle
 from labhil.identify.problem import Point, Problem
 from labhil.identify.score import Score, score
@@ -177,9 +184,13 @@ def fit(
     test: Record | None = None,
     window: float | None = None,
     start: Mapping[str, float] | None = None,
+    intervals: Intervals = Intervals.WALD,
+    simultaneous: bool = False,
     progress: Progress = lambda text: None,
 ) -> Fit:
     """Fit a model with these terms to a record, test it, and say how much to believe.
+
+    ``intervals`` says how they are made; ``simultaneous`` ones hold for all parameters together.
 
     ``window`` (s) is the length of the fitted windows; by default the longest of a ladder whose
     residuals have not grown: where noise drives the plant itself, long windows bias the estimates.
@@ -194,9 +205,10 @@ def fit(
     chosen = longest_trusted(rungs)
     progress("looking for lower minima nearby")
     rungs[chosen] = settled(rungs[chosen])
-    progress("statistics and scores")
+    progress(f"statistics and scores, intervals by {intervals}")
     by_window = [_window_estimate(r, length) for r, length in zip(rungs, lengths, strict=True)]
-    return _finish(model, record, test, rungs, chosen, lengths[chosen], by_window, sigma)
+    table = table_of(rungs[chosen], intervals, simultaneous)
+    return _finish(model, record, test, rungs, chosen, lengths[chosen], by_window, sigma, table)
 
 
 def climb(
@@ -277,14 +289,44 @@ def _window_estimate(fitted: Fitted, length: float) -> WindowEstimate:
     )
 
 
-def table_of(fitted: Fitted) -> tuple[list[statistics.Estimate], FloatArray, FloatArray]:
+def table_of(
+    fitted: Fitted, method: Intervals = Intervals.WALD, simultaneous: bool = False
+) -> tuple[list[statistics.Estimate], FloatArray, FloatArray]:
     """Estimates with their statistics, the robust covariance and the projected Jacobian."""
     robust, classical, jacobian = covariances(fitted)
     chosen = [fitted.problem.model.parameters[i] for i in fitted.problem.free]
     values = fitted.theta[fitted.problem.free]
     n = len(fitted.solution.residuals)
     unknown = weak_parameters(chosen, values, jacobian, fitted.noise)
-    return statistics.estimates(chosen, values, robust, classical, n, unknown), robust, jacobian
+    reach = simultaneous_quantile(robust) if simultaneous else quantile()
+    ends = _intervals(fitted, method, robust, classical, jacobian, reach)
+    return statistics.estimates(chosen, values, robust, classical, n, unknown, ends), robust, jacobian
+
+
+def _intervals(
+    fitted: Fitted,
+    method: Intervals,
+    robust: FloatArray,
+    classical: FloatArray,
+    jacobian: FloatArray,
+    reach: float,
+) -> list[tuple[float, float]]:
+    """Intervals of all parameters (SI) that reach out to ``reach`` normal standard errors."""
+    problem, solution = fitted.problem, fitted.solution
+    values, errors = fitted.theta[problem.free], np.sqrt(np.maximum(np.diag(robust), 0.0))
+    wald = [(float(v - reach * e), float(v + reach * e)) for v, e in zip(values, errors, strict=True)]
+    if method is Intervals.BOOTSTRAP:
+        return bootstrap_intervals(jacobian, solution.residuals, values, fitted.dof, reach)
+    if method is Intervals.WALD:
+        return wald
+    inflation = np.diag(robust) / np.maximum(np.diag(classical), 1e-300)
+    scaled = classical / np.outer(problem.scale, problem.scale)
+    return [
+        profile_interval(problem, solution, j, scaled, float(inflation[j]), reach)
+        if np.isfinite(errors[j])
+        else wald[j]
+        for j in range(len(values))
+    ]
 
 
 def _finish(
@@ -296,9 +338,10 @@ def _finish(
     window: float,
     by_window: list[WindowEstimate],
     sigma: FloatArray,
+    table: tuple[list[statistics.Estimate], FloatArray, FloatArray],
 ) -> Fit:
     fitted = rungs[chosen_rung]
-    rows, robust, jacobian = table_of(fitted)
+    rows, robust, jacobian = table
     chosen = [model.parameters[i] for i in fitted.problem.free]
     residuals = fitted.solution.residuals
     inputs = np.repeat(record.inputs[fitted.problem.windows.rows, 0], record.outputs.shape[1])

@@ -133,12 +133,12 @@ def _deepened(problem: Problem, solution: Solution, random: np.random.Generator)
 
 
 def search_states(
-    problem: Problem, z: FloatArray, states: FloatArray, random: np.random.Generator
+    problem: Problem, z: FloatArray, states: FloatArray, random: np.random.Generator, trials: int = TRIALS
 ) -> FloatArray:
     """Every window's best initial state among many local minima near it, (W, S); parameters held."""
     every = np.ones(states.shape[1], dtype=bool)
     best, costs = states, _window_costs(problem, z, states)
-    for k in range(TRIALS if states.shape[1] else 0):
+    for k in range(trials if states.shape[1] else 0):
         centre = problem.guess if k % 2 else best
         reach = (FAR if k % 3 == 0 else NEAR) * problem.model.state_scale
         trial = centre + random.standard_normal(best.shape) * reach

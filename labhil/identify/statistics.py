@@ -11,6 +11,7 @@ not allowed to shrink a variance below the classical σ̂²(JᵀJ)⁻¹.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +26,7 @@ FAINTEST = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """One parameter with what is known of it; ``ci99`` is the Wald interval at 99 %, cut at the bounds.
+    """One parameter with what is known of it; ``ci99`` is the interval at 99 %, cut at the bounds.
 
     ``std_error_reference`` is the reference text's own formula, √C_ii/√n of the classical covariance,
     kept for comparison with its tables only: its intervals are far too narrow.
@@ -107,13 +108,14 @@ def estimates(
     classical: FloatArray,
     n: int,
     unknown: np.ndarray,
+    intervals: Sequence[tuple[float, float]],
 ) -> list[Estimate]:
     """Put values, robust ``covariance`` and ``classical`` covariance (P, P) into a row per parameter.
 
-    ``unknown`` (P,) marks parameters that take part in a direction which the data do not know.
+    ``unknown`` (P,) marks parameters that take part in a direction which the data do not know;
+    ``intervals`` (P,) are cut at the bounds here.
     """
     rows = []
-    quantile = float(stats.norm.ppf(1.0 - ALPHA / 2.0))
     for i, parameter in enumerate(parameters):
         value, error = float(values[i]), float(np.sqrt(max(covariance[i, i], 0.0)))
         z = value / error if error > 0 else float("inf")
@@ -131,10 +133,7 @@ def estimates(
                 unit=parameter.unit,
                 std_error=error,
                 std_error_reference=float(np.sqrt(max(classical[i, i], 0.0) / n)),
-                ci99=(
-                    max(value - quantile * error, parameter.lower),
-                    min(value + quantile * error, parameter.upper),
-                ),
+                ci99=(max(intervals[i][0], parameter.lower), min(intervals[i][1], parameter.upper)),
                 z=z,
                 p_value=p_value,
                 significant=p_value < ALPHA and identifiable and not at_bound,
