@@ -262,20 +262,33 @@ def fit(
     window: Annotated[
         float | None, typer.Option(help="Length of the fitted windows, s (default: several, compared).")
     ] = None,
+    intervals: Annotated[str, typer.Option(help="wald, profile (slower) or bootstrap.")] = "wald",
+    simultaneous: Annotated[
+        bool, typer.Option("--simultaneous", help="Intervals that hold for all parameters together.")
+    ] = False,
+    plot: Annotated[Path | None, typer.Option(help="Draw fit and residuals here (PNG).")] = None,
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
 ) -> None:
     """Fit a white-box model to a recording, with honest errors, and test it on data it has not seen."""
+    from labhil.identify.fit import Options
+    from labhil.identify.intervals import interval_method
     from labhil.report.study import fit_study, load_material
     from labhil.report.text import show_fit
 
-    refuse_unwritable(json_path)
+    refuse_unwritable(json_path, plot)
+    method = interval_method(intervals)
     material = load_material(recording, rig, test, holdout)
     tell(material.losses())
     with status() as say:
+        options = Options(window, method, simultaneous, say)
         result = fit_study(
-            material, terms=split_names(names), start=model, estimator=estimator, window=window, progress=say
+            material, terms=split_names(names), start=model, estimator=estimator, options=options
         )
     show_fit(result.fit, results_console())
+    if plot is not None:
+        from labhil.report.fit_plot import fit_plot
+
+        fit_plot(result.fit, material.judge, plot)
     if json_path is not None:
         write_json(result.json, json_path)
 

@@ -12,9 +12,10 @@ from scipy import stats
 from labhil.diagnose import locate
 from labhil.diagnose.evidence import Evidence
 from labhil.diagnose.search import Data, Found, Rival, Step, search
-from labhil.identify.fit import Fitted, climb, start_theta, table_of
+from labhil.identify.fitted import Fitted, climb, start_theta
 from labhil.identify.score import Score, score
 from labhil.identify.statistics import Estimate
+from labhil.identify.table import table_of
 from labhil.identify.windows import noise_of
 from labhil.physics.model import Model, Record, index_of
 
@@ -138,7 +139,7 @@ def diagnose(
     base = found.baseline
     before = score(model, base.theta, held_out, data.test_sigma)
     after = score(model, found.final.theta, held_out, data.test_sigma) if found.missing else before
-    final, _, _ = table_of(found.final)
+    final = table_of(found.final).rows
     changed = _changes(model, base, found, reference)
     return Diagnosis(
         verdict=_verdict(found, changed, after),
@@ -146,7 +147,7 @@ def diagnose(
         p_value_method="tail_extrapolated",
         p_value_floor=0.0,
         baseline_terms=base.terms,
-        baseline=table_of(base)[0],
+        baseline=table_of(base).rows,
         changed=changed,
         location=_location(found, before, after, held_out),
         missing=tuple(_missing(model, step, found, final) for step in found.missing),
@@ -191,7 +192,7 @@ def _changes(
     """Reference values that the refitted model contradicts at the level of the verdict."""
     if not reference:
         return ()
-    rows = {row.name: row for row in table_of(found.final)[0]}
+    rows = {row.name: row for row in table_of(found.final).rows}
     compared = [(rows[name], value) for name, value in reference.items() if name in rows]
     changes = []
     for row, value in compared:
@@ -300,7 +301,7 @@ def _slope(final: Fitted, name: str) -> np.ndarray:
 def _nothing_moves(data: Data, base: Fitted, heldout_is_test: bool, began: float) -> Diagnosis:
     """Neither input nor output moves beyond noise: nothing can be said."""
     marks = score(data.model, base.theta, data.test, data.test_sigma)
-    rows = table_of(base)[0]
+    rows = table_of(base).rows
     reason = "neither input nor output moves beyond the noise"
     undecided = tuple(Undecided(name, None, (), reason) for name in data.model.terms)
     return Diagnosis(

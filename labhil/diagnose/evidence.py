@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from labhil.identify.fit import Fitted
+from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score
 from labhil.signals import FloatArray
 

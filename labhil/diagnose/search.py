@@ -16,7 +16,7 @@ from itertools import combinations
 import numpy as np
 
 from labhil.diagnose.evidence import Evidence, bic, effective_samples, heldout_gain, search_p_value
-from labhil.identify.fit import Fitted, climb, fit_terms, start_theta
+from labhil.identify.fitted import Fitted, climb, fit_terms, start_theta
 from labhil.identify.problem import Linearised, Point, Problem
 from labhil.identify.score import Score, score
 from labhil.physics.model import Model, Record, index_of, starts_of, terms_named

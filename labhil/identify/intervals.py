@@ -12,6 +12,7 @@ from enum import StrEnum
 import numpy as np
 from scipy import stats
 
+from labhil.errors import UnknownNameError
 from labhil.identify.least_squares import Solution, least_squares, search_states
 from labhil.identify.problem import Point, Problem
 from labhil.identify.statistics import ALPHA, bandwidth, inverse_information
@@ -29,6 +30,13 @@ class Intervals(StrEnum):
     WALD = "wald"
     PROFILE = "profile"
     BOOTSTRAP = "bootstrap"
+
+
+def interval_method(name: str) -> Intervals:
+    """The method of that name; UnknownNameError lists those that exist."""
+    if name not in set(Intervals):
+        raise UnknownNameError("interval method", name, list(Intervals))
+    return Intervals(name)
 
 
 def quantile(level: float = 1.0 - ALPHA) -> float:

@@ -8,8 +8,8 @@ import numpy as np
 
 from labhil.identify.least_squares import fit_states, rescue_states
 from labhil.identify.problem import Point, Problem
-from labhil.identify.windows import ScoredWindows, scored_windows
-from labhil.physics.model import Model, Record
+from labhil.identify.windows import ScoredWindows, all_of, scored_windows
+from labhil.physics.model import Metric, Model, Record
 from labhil.signals import FloatArray, IntArray
 
 
@@ -35,7 +35,8 @@ class Score:
     errors: FloatArray
     rows: IntArray
     window: IntArray
-    horizon: float
+    metric: Metric
+    horizon: float | None
     windows: ScoredWindows
     states: FloatArray
 
@@ -76,7 +77,10 @@ def score(
 
     ``sigma`` (channels,) is the measurement noise. Raises RecordingError when the record is too short.
     """
-    windows = scored_windows(record, horizon or model.horizon_at(theta))
+    if model.metric is Metric.INVERSE_DYNAMICS:
+        windows = all_of(record)
+    else:
+        windows = scored_windows(record, horizon or model.horizon_at(theta))
     nothing = np.empty(0, dtype=np.int64)
     lead = Problem(model, record, windows.lead, nothing, theta, sigma)
     none = np.empty(0)
@@ -92,7 +96,8 @@ def score(
         for j in range(c)
     )
     owner = windows.whole.owner[windows.scored]
-    return Score(channels, errors, rows, owner, windows.horizon, windows, states)
+    stated = None if model.metric is Metric.INVERSE_DYNAMICS else windows.horizon
+    return Score(channels, errors, rows, owner, model.metric, stated, windows, states)
 
 
 def _channel(
@@ -101,9 +106,10 @@ def _channel(
     measured = record.outputs[rows, j]
     sse = float(errors @ errors)
     sst = float(np.sum((measured - measured.mean()) ** 2))
+    name, joint = record.channel(j)
     return ChannelScore(
-        channel=record.output_names[j],
-        joint=None,
+        channel=name,
+        joint=joint,
         unit=record.output_units[j],
         mse=sse / len(errors),
         rmse=float(np.sqrt(sse / len(errors))),

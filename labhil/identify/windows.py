@@ -72,6 +72,12 @@ def scored_windows(record: Record, horizon: float) -> ScoredWindows:
     return ScoredWindows(lead_windows, whole, whole.rows >= middle[whole.owner], horizon)
 
 
+def all_of(record: Record) -> ScoredWindows:
+    """The whole record as one scored stretch without a lead-in: for inverse dynamics, which has no state."""
+    whole = Windows.of([(0, len(record))])
+    return ScoredWindows(whole, whole, np.ones(len(record), dtype=bool), float(record.t[-1] - record.t[0]))
+
+
 def split(record: Record, share: float, gap: float) -> tuple[Record, Record]:
     """Hold out the last ``share`` of a record, contiguous, after a gap of ``gap`` s."""
     start = record.t[-1] - share * (record.t[-1] - record.t[0])

@@ -20,7 +20,8 @@ class Record:
 
     ``t`` (n,) s, increasing; ``inputs`` (n, inputs) and ``outputs`` (n, channels) in SI units;
     ``input_holds`` (inputs,) what each input does between samples; ``auxiliary`` holds other channels of
-    the rig, each (n,), by column name.
+    the rig, each (n,), by column name; ``output_joints`` (channels,) the joint of each output, where it
+    has one.
     """
 
     t: FloatArray
@@ -31,6 +32,7 @@ class Record:
     output_units: tuple[str, ...]
     input_holds: tuple[Hold, ...] = (Hold.LINEAR,)
     auxiliary: Mapping[str, FloatArray] = field(default_factory=dict)
+    output_joints: tuple[int | None, ...] = ()
 
     def __len__(self) -> int:
         return len(self.t)
@@ -39,6 +41,12 @@ class Record:
     def period(self) -> float:
         """Median time between samples, s."""
         return float(np.median(np.diff(self.t)))
+
+    def channel(self, j: int) -> tuple[str, int | None]:
+        """Signal and joint of output column ``j``."""
+        joint = self.output_joints[j] if self.output_joints else None
+        name = self.output_names[j]
+        return (name if joint is None else name.removesuffix(f"_{joint}")), joint
 
     def part(self, first: int, last: int) -> Record:
         """The samples first … last − 1."""

@@ -118,6 +118,9 @@ def _record(stream: StreamData, inputs: list[Signal], outputs: list[Signal], oth
         input_names=tuple(column for signal in inputs for column in signal.columns()),
         output_names=tuple(column for signal in outputs for column in signal.columns()),
         output_units=tuple(signal.unit for signal in outputs for _ in signal.columns()),
+        output_joints=tuple(
+            joint if signal.width > 1 else None for signal in outputs for joint in range(signal.width)
+        ),
         input_holds=tuple(holds[signal.name] for signal in inputs for _ in signal.columns()),
         auxiliary=auxiliary,
     )

@@ -15,6 +15,7 @@ from labhil.diagnose.diagnosis import Diagnosis
 from labhil.errors import UsageError
 from labhil.identify.score import Score
 from labhil.physics.model import Record
+from labhil.signals import FloatArray
 
 BEFORE, AFTER, MEASURED = "#c8553d", "#2a7f62", "#444444"
 
@@ -24,19 +25,30 @@ def diagnosis_plot(diagnosis: Diagnosis, held_out: Record, path: Path) -> None:
 
     UsageError when the file cannot be written or its extension is no format of pictures.
     """
-    figure = _figure((11.0, 8.0))
+    figure = figure_of((11.0, 8.0))
     axes = figure.subplots(2, 2)
     _draw_windows(axes[0, 0], diagnosis, held_out)
     _draw_errors(axes[0, 1], diagnosis, held_out)
     _draw_missing(axes[1, 0], diagnosis)
     _draw_histogram(axes[1, 1], diagnosis)
+    save(figure, path)
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure; UsageError when the file cannot be written or it is no format of pictures."""
     try:
         figure.savefig(path, dpi=110)
     except (OSError, ValueError) as error:
         raise UsageError(f"{path}: the plot cannot be written: {error}") from error
 
 
-def _figure(size: tuple[float, float]) -> Figure:
+def broken(score: Score, values: FloatArray) -> FloatArray:
+    """Values (N,) of scored rows with a gap where a new window begins, so that no line crosses it."""
+    return np.asarray(np.where(np.r_[True, np.diff(score.window) > 0], np.nan, values))
+
+
+def figure_of(size: tuple[float, float]) -> Figure:
+    """An empty figure of this size (inches) that needs no display."""
     with mpl.rc_context({"axes.grid": True}):
         figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
@@ -49,9 +61,8 @@ def _draw_windows(axes: Axes, diagnosis: Diagnosis, record: Record) -> None:
     channel = diagnosis.after.channels[0]
     axes.plot(t, measured, color=MEASURED, lw=2.5, alpha=0.5, label="measured")
     for score, colour, label in _both(diagnosis):
-        broken = np.where(np.r_[True, np.diff(score.window) > 0], np.nan, measured + score.errors[:, 0])
-        axes.plot(t, broken, color=colour, lw=1.0, label=label)
-    _finish(
+        axes.plot(t, broken(score, measured + score.errors[:, 0]), color=colour, lw=1.0, label=label)
+    finish(
         axes, "Simulated windows on data the search never saw", "t, s", f"{channel.channel}, {channel.unit}"
     )
 
@@ -59,10 +70,9 @@ def _draw_windows(axes: Axes, diagnosis: Diagnosis, record: Record) -> None:
 def _draw_errors(axes: Axes, diagnosis: Diagnosis, record: Record) -> None:
     channel = diagnosis.after.channels[0]
     for score, colour, label in _both(diagnosis):
-        errors = np.where(np.r_[True, np.diff(score.window) > 0], np.nan, score.errors[:, 0])
-        axes.plot(record.t[score.rows], errors, color=colour, lw=1.0, label=label)
+        axes.plot(record.t[score.rows], broken(score, score.errors[:, 0]), color=colour, lw=1.0, label=label)
     axes.axhspan(-channel.noise_floor, channel.noise_floor, color="k", alpha=0.12, label="noise floor")
-    _finish(axes, "Error", "t, s", channel.unit)
+    finish(axes, "Error", "t, s", channel.unit)
 
 
 def _draw_missing(axes: Axes, diagnosis: Diagnosis) -> None:
@@ -81,7 +91,7 @@ def _draw_missing(axes: Axes, diagnosis: Diagnosis) -> None:
         label = f"{regime.share_of_excess:.0%} of {term}"
         axes.axvspan(regime.low, regime.high, color=BEFORE, alpha=0.15, label=label)
     unit = locate.COORDINATE_UNITS.get(name, "")
-    _finish(axes, "What the baseline leaves out", f"{name}, {unit}", "force of each missing effect")
+    finish(axes, "What the baseline leaves out", f"{name}, {unit}", "force of each missing effect")
 
 
 def _draw_histogram(axes: Axes, diagnosis: Diagnosis) -> None:
@@ -91,7 +101,7 @@ def _draw_histogram(axes: Axes, diagnosis: Diagnosis) -> None:
         clipped = np.clip(score.errors[:, 0], -spread, spread)
         axes.hist(clipped, bins=61, range=(-spread, spread), color=colour, alpha=0.6, label=label)
     axes.locator_params(axis="x", nbins=5)
-    _finish(axes, "Errors (outliers at the edges)", f"error, {channel.unit}", "samples")
+    finish(axes, "Errors (outliers at the edges)", f"error, {channel.unit}", "samples")
 
 
 def _both(diagnosis: Diagnosis) -> list[tuple[Score, str, str]]:
@@ -103,10 +113,11 @@ def _both(diagnosis: Diagnosis) -> list[tuple[Score, str, str]]:
     ]
 
 
-def _finish(axes: Axes, title: str, x: str, y: str) -> None:
+def finish(axes: Axes, title: str, x: str, y: str) -> None:
+    """Title, labels, grid and, where something is labelled, a legend."""
     axes.set_title(title, loc="left", fontsize=10, fontweight="bold")
     axes.set_xlabel(x)
     axes.set_ylabel(y)
     axes.grid(alpha=0.3)
     if axes.get_legend_handles_labels()[0]:
-        axes.legend(fontsize=8, frameon=False, markerscale=4)
+        axes.legend(fontsize=8, markerscale=4, framealpha=0.8, edgecolor="none")

@@ -50,6 +50,7 @@ def fit_json(fit: Fit, sources: Sequence[Source], rig: str, estimator: str, seed
                 "ljung_box_p": fit.ljung_box_p,
                 "input_crosscorrelation_p": fit.input_crosscorrelation_p,
             },
+            "intervals": {"method": fit.intervals.value, "simultaneous": fit.simultaneous},
             "window": fit.window,
             "by_window": [asdict(rung) for rung in fit.by_window],
             "converged": fit.converged,
@@ -62,7 +63,7 @@ def fit_json(fit: Fit, sources: Sequence[Source], rig: str, estimator: str, seed
 def score_json(score: Score) -> dict[str, Any]:
     """Headline and channels of a score; R² is a fraction."""
     return {
-        "metric": "windowed_simulation",
+        "metric": score.metric.value,
         "horizon": score.horizon,
         "mse": score.mse,
         "rmse": score.rmse,

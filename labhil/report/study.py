@@ -10,7 +10,7 @@ from typing import Any
 
 from labhil.diagnose.diagnosis import Diagnosis, diagnose
 from labhil.errors import RecordingError, UnknownNameError, UsageError
-from labhil.identify.fit import Fit, fit
+from labhil.identify.fit import Fit, Options, fit
 from labhil.identify.windows import FEWEST_IN_WINDOW, split
 from labhil.physics.model import Model, Record, index_of, terms_named
 from labhil.physics.rigs import MODELS, model_for, record_of
@@ -70,7 +70,7 @@ def load_material(
     record = record_of(recording, rig.kind)
     model = model_for(rig, record)
     if test_path is None:
-        learn, judge = split(record, holdout, model.horizon)
+        learn, judge = (model.prepare(part) for part in split(record, holdout, model.horizon))
         _long_enough(learn, recording)
         return Material(rig, model, learn, judge, False, ((recording, record, ""),))
     test_recording = read_recording(test_path)
@@ -80,7 +80,8 @@ def load_material(
             f"{test_path}: expected the input {record.input_names[0]} as in {path}, "
             f"found {test.input_names[0]}"
         )
-    return Material(rig, model, record, test, True, ((recording, record, ""), (test_recording, test, "test")))
+    learn, judge = model.prepare(record), model.prepare(test)
+    return Material(rig, model, learn, judge, True, ((recording, record, ""), (test_recording, test, "test")))
 
 
 def _rig_of(recording: Recording, rig_path: Path | None) -> RigFile:
@@ -124,16 +125,16 @@ def fit_study(
     terms: Sequence[str] | None = None,
     start: Path | None = None,
     estimator: str = "nlse",
-    window: float | None = None,
-    progress: Progress = lambda text: None,
+    options: Options | None = None,
 ) -> FitResult:
     """Fit a model; ``start`` is a fit or diagnosis file to begin at."""
     if estimator not in ESTIMATORS:
         raise UnknownNameError("estimator", estimator, ESTIMATORS)
     shortest = FEWEST_IN_WINDOW * material.learn.period
-    if window is not None and not 0.99 * shortest <= window < float("inf"):
+    how = options or Options()
+    if how.window is not None and not 0.99 * shortest <= how.window < float("inf"):
         raise UsageError(
-            f"--window: expected at least {shortest:.3g} s ({FEWEST_IN_WINDOW} samples), found {window:g}"
+            f"--window: expected at least {shortest:.3g} s ({FEWEST_IN_WINDOW} samples), found {how.window:g}"
         )
     model = material.model
     chosen = terms or (terms_of(start) if start is not None else MODELS[model.kind].general)
@@ -144,9 +145,8 @@ def fit_study(
         material.learn,
         chosen,
         test=material.judge,
-        window=window,
         start=values_of(start) if start is not None else None,
-        progress=progress,
+        options=how,
     )
     seconds = time.perf_counter() - began
     data = fit_json(result, material.sources("train"), model.kind, estimator, 0, seconds)

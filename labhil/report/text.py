@@ -12,6 +12,7 @@ from labhil.diagnose.diagnosis import Diagnosis
 from labhil.identify.fit import Fit
 from labhil.identify.score import Score
 from labhil.identify.statistics import Estimate
+from labhil.physics.terms import keyed
 
 VERDICTS = {
     "no_mismatch": "No mismatch: the data do not contradict the baseline.",
@@ -25,7 +26,7 @@ VERDICTS = {
 
 def show_fit(fit: Fit, console: Console) -> None:
     """Print a fit."""
-    console.print(parameter_table(fit.estimates, "Parameters, with errors robust to correlated residuals"))
+    console.print(parameter_table(fit.estimates, f"Parameters: errors robust to correlation, {_kind(fit)}"))
     for note in _fit_notes(fit):
         console.print(Text("· " + note, style="yellow"))
     console.print(score_table([("train", fit.train)] + ([("test", fit.test)] if fit.test else [])))
@@ -39,6 +40,11 @@ def show_fit(fit: Fit, console: Console) -> None:
     )
 
 
+def _kind(fit: Fit) -> str:
+    together = ", all together" if fit.simultaneous else ""
+    return f"99 % intervals by {fit.intervals.value}{together}"
+
+
 def parameter_table(estimates: Sequence[Estimate], title: str) -> Table:
     """One row per parameter; ``*`` marks those that differ from zero at 1 %."""
     table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
@@ -49,7 +55,7 @@ def parameter_table(estimates: Sequence[Estimate], title: str) -> Table:
     table.add_column("unit")
     for row in estimates:
         table.add_row(
-            row.name,
+            keyed(row.name, row.joint),
             f"{row.value:.5g}",
             f"{row.std_error:.2g}",
             f"[{row.ci99[0]:.4g}, {row.ci99[1]:.4g}]".replace("[", r"\["),
@@ -78,7 +84,7 @@ def score_table(scores: Sequence[tuple[str, Score]]) -> Table:
     """Errors of windowed simulation, one row per data set and channel."""
     horizon = scores[0][1].horizon
     table = Table(
-        title=f"Simulated windows of {horizon:.3g} s",
+        title="Inverse dynamics" if horizon is None else f"Simulated windows of {horizon:.3g} s",
         title_justify="left",
         title_style="bold",
         box=None,
@@ -90,7 +96,7 @@ def score_table(scores: Sequence[tuple[str, Score]]) -> Table:
         for channel in score.channels:
             table.add_row(
                 label,
-                channel.channel,
+                keyed(channel.channel, channel.joint),
                 f"{channel.rmse:.4g} {channel.unit}",
                 f"{channel.noise_floor:.4g} {channel.unit}",
                 f"{channel.max_abs_error:.4g} {channel.unit}",

@@ -14,7 +14,8 @@ from statsmodels.regression.linear_model import OLS
 
 from labhil.errors import RecordingError
 from labhil.identify import statistics
-from labhil.identify.fit import fit, fit_terms, start_theta
+from labhil.identify.fit import Options, fit
+from labhil.identify.fitted import fit_terms, start_theta
 from labhil.identify.identifiability import invariants
 from labhil.identify.score import score
 from labhil.identify.windows import fit_windows, noise_of, scored_windows
@@ -59,7 +60,9 @@ def test_the_fit_reaches_the_noise_on_data_it_never_saw(fitted):
 
 def test_bounds_hold_and_a_term_that_is_not_there_stays_insignificant(model, acquire):
     record = acquire(("viscous_friction",), 5, duration=30.0, amplitude=0.3)
-    result = fit(model, record, ("viscous_friction", "coulomb_friction"), test=record, window=3.0)
+    result = fit(
+        model, record, ("viscous_friction", "coulomb_friction"), test=record, options=Options(window=3.0)
+    )
     rows = {row.name: row for row in result.estimates}
     assert rows["coulomb_friction.level"].value >= 0.0
     assert not rows["coulomb_friction.level"].significant
@@ -84,7 +87,9 @@ def test_only_the_ratio_is_known_when_neither_length_of_the_linkage_is(acquire):
     text = '[rig]\nkind = "ball_beam"\n[known]\nball_mass = 0.261\nball_radius = 0.02\n'
     model = BallBeamModel(parse_rig(text, Path("rig.toml")))
     record = acquire(("viscous_friction", "coulomb_friction"), 7, duration=20.0)
-    result = fit(model, record, ("viscous_friction", "coulomb_friction"), test=record, window=3.0)
+    result = fit(
+        model, record, ("viscous_friction", "coulomb_friction"), test=record, options=Options(window=3.0)
+    )
     assert result.identifiability.rank == result.identifiability.of - 1
     assert result.identifiability.combinations == ("crank_radius/beam_length",)
     values = {row.name: row.value for row in result.estimates}

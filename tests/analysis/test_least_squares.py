@@ -18,7 +18,7 @@ from labhil.identify.least_squares import least_squares
 from labhil.identify.problem import Problem
 from labhil.identify.score import score
 from labhil.identify.windows import split
-from labhil.physics.model import Record, Windows
+from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.terms import Parameter
 
 COUNT, LENGTH = 6, 50
@@ -33,6 +33,7 @@ class Straight:
     state_scale = np.array([1.0, 1.0])
     terms = MappingProxyType({})
     horizon = 1.0
+    metric = Metric.WINDOWED_SIMULATION
 
     def horizon_at(self, theta) -> float:
         return self.horizon

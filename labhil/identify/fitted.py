@@ -1,0 +1,172 @@
+"""One set of terms fitted on one cut into windows, and the way from short windows to long ones."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labhil.identify import statistics
+from labhil.identify.least_squares import Solution, least_squares, settle
+from labhil.identify.problem import Point, Problem
+from labhil.identify.windows import fit_windows
+from labhil.physics.model import Model, Record, index_of, start_values, starts_of, terms_named
+from labhil.signals import FloatArray
+
+WORST_GROWTH = 1.3
+SCOUT_ITERATIONS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """A model's vector that was fitted on one cut into windows, with what led there."""
+
+    terms: tuple[str, ...]
+    theta: FloatArray
+    problem: Problem
+    solution: Solution
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of the residuals, in units of the noise of the recording."""
+        return float(np.sqrt(self.solution.cost / self.dof))
+
+    @property
+    def dof(self) -> int:
+        """Residuals less what was fitted."""
+        fitted = len(self.problem.free) + self.solution.point.states.size
+        return max(len(self.solution.residuals) - fitted, 1)
+
+
+def free_of(model: Model, terms: Sequence[str]) -> np.ndarray:
+    """Places of the parameters that a model with these terms estimates: the rig's own and the terms'."""
+    chosen = {p.key for term in terms_named(model, terms) for p in term.parameters}
+    return np.array(
+        [i for i, p in enumerate(model.parameters) if p.term is None or p.key in chosen], dtype=np.int64
+    )
+
+
+def start_theta(model: Model, values: Mapping[str, float] | None = None) -> FloatArray:
+    """Every term neutral, the rig's own parameters at their first start, then ``values`` by name."""
+    theta = start_values(model.parameters)
+    places = index_of(model.parameters)
+    for name, value in (values or {}).items():
+        if name in places:
+            theta[places[name]] = value
+    return theta
+
+
+def fit_terms(
+    model: Model,
+    record: Record,
+    terms: Sequence[str],
+    window: float,
+    sigma: FloatArray,
+    *,
+    start: FloatArray | None = None,
+    states: FloatArray | None = None,
+    new_terms: Sequence[str] | None = None,
+    iterations: int = 60,
+    thorough: bool = True,
+    hopeless: float = float("inf"),
+) -> Fitted:
+    """Fit a set of terms from several starts and keep the best.
+
+    ``start`` is a vector to begin at (default: everything neutral), ``states`` initial states of the
+    same windows under a model close by; the ``new_terms`` (default: all) begin at each of their own
+    starts. Scouts go a few steps from each, the best goes on to the end; ``thorough`` gives outlying
+    windows a second chance there. When no scout comes below the cost ``hopeless``, the best scout is
+    the answer.
+    """
+    begin = start_theta(model) if start is None else start
+    windows = fit_windows(record, window)
+    free = free_of(model, terms)
+    best: tuple[Problem, Solution] | None = None
+    starts = starts_with(model, record, begin, terms if new_terms is None else new_terms)
+    for theta in starts:
+        problem = Problem(model, record, windows, free, theta, sigma)
+        limit = SCOUT_ITERATIONS if len(starts) > 1 or hopeless < float("inf") else iterations
+        begin_at = problem.start() if states is None else Point(problem.start().z, states)
+        settled = states is not None
+        solution = least_squares(problem, begin_at, iterations=limit, settled=settled, thorough=False)
+        if best is None or solution.cost < best[1].cost:
+            best = problem, solution
+    assert best is not None
+    problem, solution = best
+    if solution.cost <= hopeless and (thorough or not solution.converged):
+        solution = least_squares(
+            problem, solution.point, iterations=iterations, settled=True, thorough=thorough
+        )
+    return Fitted(tuple(terms), problem.theta(solution.point.z), problem, solution)
+
+
+def starts_with(model: Model, record: Record, begin: FloatArray, terms: Sequence[str]) -> list[FloatArray]:
+    """``begin`` with each set of starts of these terms put in."""
+    places = index_of(model.parameters)
+    vectors = []
+    for values in starts_of(model, terms_named(model, terms), record) if terms else [{}]:
+        theta = begin.copy()
+        for name, value in values.items():
+            theta[places[name]] = value
+        vectors.append(theta)
+    return vectors
+
+
+def covariances(fitted: Fitted) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Robust and classical covariance in SI units (P, P), and the projected Jacobian (N, P) by SI units."""
+    problem, solution = fitted.problem, fitted.solution
+    lin = problem.linearise(solution.point, solution.residuals, central=True)
+    jacobian = problem.project(lin, lin.by_parameters) / problem.scale
+    if not jacobian.shape[1]:
+        return np.empty((0, 0)), np.empty((0, 0)), jacobian
+    unit = np.linalg.norm(jacobian, axis=0)
+    unit[unit == 0.0] = 1.0
+    scaled = jacobian / unit
+    robust = statistics.robust_covariance(scaled, solution.residuals, fitted.dof)
+    inverse = statistics.inverse_information(scaled)
+    lost = np.linalg.norm(jacobian, axis=0) == 0.0
+    for matrix in (robust, inverse):
+        matrix[lost, lost] = np.inf
+    classical = inverse * solution.cost / fitted.dof
+    return robust / np.outer(unit, unit), classical / np.outer(unit, unit), jacobian
+
+
+def climb(
+    model: Model,
+    record: Record,
+    terms: Sequence[str],
+    lengths: Sequence[float],
+    sigma: FloatArray,
+    *,
+    start: FloatArray,
+    fresh: Sequence[str],
+) -> list[Fitted]:
+    """Fit on longer and longer windows (s), each from where the one before ended.
+
+    Short windows lead to the neighbourhood whatever the start, long ones to the estimate. The terms
+    ``fresh`` begin at each of their own starts on the first.
+    """
+    rungs: list[Fitted] = []
+    for length in lengths:
+        begin = rungs[-1].theta if rungs else start
+        new_terms = () if rungs else fresh
+        rungs.append(fit_terms(model, record, terms, length, sigma, start=begin, new_terms=new_terms))
+    return rungs
+
+
+def longest_trusted(rungs: Sequence[Fitted]) -> int:
+    """The longest windows whose residuals have grown by less than 30 % over those of the shortest."""
+    trusted = [i for i, rung in enumerate(rungs) if rung.noise <= WORST_GROWTH * rungs[0].noise]
+    return max(trusted)
+
+
+def settled(fitted: Fitted) -> Fitted:
+    """The same model where it has settled in the lowest minimum within its own uncertainty."""
+    _, classical, _ = covariances(fitted)
+    scale = fitted.problem.scale
+    relative = np.nan_to_num(classical / np.outer(scale, scale), posinf=1.0)
+    variances, directions = np.linalg.eigh(relative) if len(scale) else (np.empty(0), np.empty((0, 0)))
+    spread = directions * np.sqrt(np.clip(variances, 0.0, 1.0))
+    solution = settle(fitted.problem, fitted.solution, spread)
+    return replace(fitted, theta=fitted.problem.theta(solution.point.z), solution=solution)

@@ -1,0 +1,80 @@
+"""A fit as pictures: simulation beside measurement, and what the residuals look like."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from labhil.identify.fit import Fit
+from labhil.identify.score import ChannelScore, Score
+from labhil.physics.model import Record
+from labhil.physics.terms import keyed
+from labhil.report.plots import AFTER, MEASURED, broken, figure_of, finish, save
+from labhil.signals import FloatArray
+
+LAGS = 60
+MOST_CHANNELS = 6
+
+
+def fit_plot(fit: Fit, judged: Record, path: Path) -> None:
+    """Write a row of panels per output channel as PNG; UsageError when the file cannot be written.
+
+    ``judged`` is the record that the test score (without one: the training score) comes from. A row
+    holds the scored simulation, its errors with the noise floor, their histogram with the normal curve of
+    the same spread, and the autocorrelation of the fitted residuals with the 99 % band of white noise.
+    """
+    score = fit.test or fit.train
+    shown = score.channels[:MOST_CHANNELS]
+    figure = figure_of((15.0, 3.4 * len(shown)))
+    rows = figure.subplots(len(shown), 4, squeeze=False)
+    for j, channel in enumerate(shown):
+        _draw_simulation(rows[j, 0], score, channel, j, judged)
+        _draw_errors(rows[j, 1], score, channel, j, judged)
+        _draw_histogram(rows[j, 2], score.errors[:, j], channel)
+        _draw_autocorrelation(rows[j, 3], fit.residuals[:, j])
+    save(figure, path)
+
+
+def _name(channel: ChannelScore) -> str:
+    return f"{keyed(channel.channel, channel.joint)}, {channel.unit}"
+
+
+def _draw_simulation(axes: Axes, score: Score, channel: ChannelScore, j: int, record: Record) -> None:
+    t, measured = record.t[score.rows], record.outputs[score.rows, j]
+    axes.plot(t, measured, color=MEASURED, lw=2.5, alpha=0.5, label="measured")
+    simulated = broken(score, measured + score.errors[:, j])
+    axes.plot(t, simulated, color=AFTER, lw=1.0, label=f"model, R² {100 * channel.r2:.2f} %")
+    finish(axes, "Model and measurement", "t, s", _name(channel))
+
+
+def _draw_errors(axes: Axes, score: Score, channel: ChannelScore, j: int, record: Record) -> None:
+    axes.plot(record.t[score.rows], broken(score, score.errors[:, j]), color=AFTER, lw=0.8)
+    floor = channel.noise_floor
+    axes.axhspan(-floor, floor, color="k", alpha=0.12, label="noise floor")
+    finish(axes, f"Error, RMSE {channel.rmse:.3g} {channel.unit}", "t, s", channel.unit)
+
+
+def _draw_histogram(axes: Axes, errors: FloatArray, channel: ChannelScore) -> None:
+    spread = 4.5 * max(float(np.std(errors)), 1e-300)
+    axes.hist(errors, bins=61, range=(-spread, spread), color=AFTER, alpha=0.6, density=True, label="errors")
+    x = np.linspace(-spread, spread, 200)
+    sigma = spread / 4.5
+    bell = np.exp(-0.5 * (x / sigma) ** 2) / (sigma * np.sqrt(2.0 * np.pi))
+    axes.plot(x, bell, color=MEASURED, lw=1.2, label="normal, same spread")
+    axes.locator_params(axis="x", nbins=5)
+    finish(axes, "Errors, distribution", channel.unit, "density")
+
+
+def _draw_autocorrelation(axes: Axes, residuals: FloatArray) -> None:
+    from statsmodels.tsa.stattools import acf
+
+    lags = min(LAGS, len(residuals) // 3)
+    correlation = acf(residuals, nlags=lags, fft=True)
+    band = 2.576 / np.sqrt(len(residuals))
+    axes.vlines(np.arange(1, lags + 1), 0.0, correlation[1:], color=AFTER, lw=1.5)
+    axes.axhspan(-band, band, color="k", alpha=0.12, label="white noise, 99 %")
+    axes.axhline(0.0, color="k", lw=0.6)
+    axes.set_ylim(min(-0.2, 1.1 * float(correlation[1:].min())), max(0.2, 1.1 * float(correlation[1:].max())))
+    finish(axes, "Residuals, autocorrelation", "lag, samples", "")
