@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib.metadata import EntryPoint, entry_points
 
-from labhil.errors import UnknownNameError
+from labhil.errors import UnknownNameError, UsageError
 from labhil.signals import Direction, Hold, Signal
 
 JOINTS = 6
@@ -145,8 +146,34 @@ UR5 = RigKind(
 KINDS: Mapping[str, RigKind] = {kind.name: kind for kind in (BALL_BEAM, DC_MOTOR, SOLENOID, AXIS, UR5)}
 
 
+PLUGGED = "labhil.rigs"
+"""Entry points under which other packages register a :class:`RigKind` by its name."""
+
+
+def kind_names() -> tuple[str, ...]:
+    """Names of all rig kinds, ours first; nothing is imported."""
+    plugged = {point.name for point in entry_points(group=PLUGGED)} - set(KINDS)
+    return (*KINDS, *sorted(plugged))
+
+
 def kind_named(name: str) -> RigKind:
-    """Return the rig kind ``name``; UnknownNameError lists those that exist."""
-    if name not in KINDS:
-        raise UnknownNameError("rig kind", name, KINDS)
-    return KINDS[name]
+    """Return the rig kind ``name``; UnknownNameError lists those that exist.
+
+    UsageError when another package's kind cannot be imported or is none.
+    """
+    if name in KINDS:
+        return KINDS[name]
+    for point in entry_points(group=PLUGGED):
+        if point.name == name:
+            return _plugged(point)
+    raise UnknownNameError("rig kind", name, kind_names())
+
+
+def _plugged(point: EntryPoint) -> RigKind:
+    try:
+        kind = point.load()
+    except (ImportError, AttributeError) as error:
+        raise UsageError(f"rig kind {point.name!r} ({point.value}) cannot be imported: {error}") from error
+    if not isinstance(kind, RigKind):
+        raise UsageError(f"rig kind {point.name!r} ({point.value}): expected a RigKind, found {kind!r}")
+    return kind

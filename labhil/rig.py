@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from labhil.errors import RigFileError, suggestion
-from labhil.kinds import KINDS, Known, RigKind, kind_named
+from labhil.kinds import Known, RigKind, kind_named, kind_names
 
 
 class _Section(BaseModel):
@@ -26,8 +26,9 @@ class RigSection(_Section):
     @field_validator("kind")
     @classmethod
     def _exists(cls, value: str) -> str:
-        if value not in KINDS:
-            raise ValueError(f"no such rig{suggestion(value, KINDS)}; known: {', '.join(sorted(KINDS))}")
+        names = kind_names()
+        if value not in names:
+            raise ValueError(f"no such rig{suggestion(value, names)}; known: {', '.join(sorted(names))}")
         return value
 
 
@@ -109,7 +110,7 @@ class RigFile(_Section):
     @property
     def kind(self) -> RigKind:
         """The kind of rig that this file describes."""
-        return KINDS[self.rig.kind]
+        return kind_named(self.rig.kind)
 
     def known_number(self, name: str) -> float | None:
         """A scalar of ``[known]``, or None when it is to be estimated."""
@@ -164,7 +165,7 @@ def parse_rig(text: str, path: Path) -> RigFile:
     if "rig" not in data:
         near = suggestion("rig", data)
         raise RigFileError(
-            f'{path}: the table [rig] with kind = "…" is missing{near}; kinds: {", ".join(KINDS)}'
+            f'{path}: the table [rig] with kind = "…" is missing{near}; kinds: {", ".join(kind_names())}'
         )
     _refuse_reserved(data, path)
     try:

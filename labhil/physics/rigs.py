@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
+from importlib.metadata import entry_points
 
 import numpy as np
 
-from labhil.errors import RecordingError
+from labhil.errors import RecordingError, UnknownNameError
 from labhil.kinds import RigKind
 from labhil.physics.model import Model, Record, Windows, index_of, start_values, starts_of
 from labhil.recording.reader import Recording, StreamData
@@ -57,9 +58,24 @@ MODELS: Mapping[str, RigModel] = {
 }
 
 
+PLUGGED = "labhil.models"
+"""Entry points under which other packages register a ``RightHandSide`` by the name of its rig kind."""
+
+
+def rig_model(kind: str) -> RigModel:
+    """How a rig kind is modelled; UnknownNameError lists those that are."""
+    if kind in MODELS:
+        return MODELS[kind]
+    for point in entry_points(group=PLUGGED):
+        if point.name == kind:
+            stated = point.load()
+            return RigModel(point.value, tuple(stated.baseline), tuple(stated.general))
+    raise UnknownNameError("model of a rig kind", kind, MODELS)
+
+
 def model_for(rig: RigFile, record: Record | None = None) -> Model:
     """The model of this rig, with sizes for starts and scales taken from ``record`` where there is one."""
-    return MODELS[rig.kind.name].load()(rig, record)
+    return rig_model(rig.kind.name).load()(rig, record)
 
 
 def compile_kernels(kinds: tuple[str, ...] = ("ball_beam",)) -> None:

@@ -6,15 +6,15 @@ from typing import Any
 
 from rich.console import Console
 
-from labhil.kinds import kind_named
-from labhil.physics.rigs import MODELS, model_for
+from labhil.kinds import kind_named, kind_names
+from labhil.physics.rigs import model_for, rig_model
 from labhil.physics.terms import Term
 from labhil.rig import default_rig
 
 
 def terms_by_rig(kind: str | None) -> dict[str, dict[str, Term]]:
     """Terms of one rig kind, or of all; UnknownNameError lists the kinds."""
-    kinds = [kind_named(kind).name] if kind else list(MODELS)
+    kinds = [kind_named(kind).name] if kind else list(kind_names())
     found = {}
     for name in kinds:
         rig = default_rig(name)
@@ -26,8 +26,8 @@ def catalogue_json(kind: str | None) -> dict[str, Any]:
     """The catalogue as plain JSON data."""
     rigs = {
         rig: {
-            "baseline": list(MODELS[rig].baseline),
-            "general": list(MODELS[rig].general),
+            "baseline": list(rig_model(rig).baseline),
+            "general": list(rig_model(rig).general),
             "terms": [_term_json(term) for term in terms.values()],
         }
         for rig, terms in terms_by_rig(kind).items()
@@ -52,7 +52,7 @@ def show_catalogue(kind: str | None) -> None:
     """Print the catalogue."""
     console = Console(highlight=False)
     for rig, terms in terms_by_rig(kind).items():
-        console.print(f"[bold]{rig}[/bold]  baseline: {', '.join(MODELS[rig].baseline)}")
+        console.print(f"[bold]{rig}[/bold]  baseline: {', '.join(rig_model(rig).baseline)}")
         for term in terms.values():
             console.print(f"\n[bold]{term.name}[/bold] ({term.enters.value}): {term.statement}")
             console.print(f"  {term.equation}   — {term.source}", markup=False)

@@ -13,7 +13,7 @@ from labhil.errors import RecordingError, UnknownNameError, UsageError
 from labhil.identify.fit import Fit, Options, fit
 from labhil.identify.windows import FEWEST_IN_WINDOW, split
 from labhil.physics.model import Model, Record, index_of, terms_named
-from labhil.physics.rigs import MODELS, model_for, record_of
+from labhil.physics.rigs import model_for, record_of, rig_model
 from labhil.recording.reader import Recording, read_recording
 from labhil.report.results import Source, diagnosis_json, fit_json, terms_of, values_of
 from labhil.rig import RigFile, load_rig
@@ -137,7 +137,7 @@ def fit_study(
             f"--window: expected at least {shortest:.3g} s ({FEWEST_IN_WINDOW} samples), found {how.window:g}"
         )
     model = material.model
-    chosen = terms or (terms_of(start) if start is not None else MODELS[model.kind].general)
+    chosen = terms or (terms_of(start) if start is not None else rig_model(model.kind).general)
     terms_named(model, chosen)
     began = time.perf_counter()
     result = fit(
@@ -163,7 +163,7 @@ def diagnose_study(
     """Diagnose; ``reference`` is a fit file that stands for the user's simulation, like ``[nominal]``."""
     model = material.model
     values = _reference_values(material, reference)
-    chosen = baseline or (terms_of(reference) if reference is not None else MODELS[model.kind].baseline)
+    chosen = baseline or (terms_of(reference) if reference is not None else rig_model(model.kind).baseline)
     terms_named(model, chosen)
     diagnosis = diagnose(
         model,

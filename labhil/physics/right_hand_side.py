@@ -1,0 +1,155 @@
+"""A model by its right-hand side: whoever can write ẋ = f(t, x, u, p) has a rig kind that can be fitted.
+
+A third party's package registers a ``labhil.kinds.RigKind`` under the entry point ``labhil.rigs`` and a
+:class:`RightHandSide` of the same name under ``labhil.models``; the rest (windows, estimators, statistics,
+reports) is there already. The functions work on columns: all windows are stepped together, so a model in
+plain numpy is fast enough.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from labhil.errors import UsageError
+from labhil.physics.model import Metric, Record, Windows, index_of
+from labhil.physics.terms import Parameter, Term, Yardstick
+from labhil.rig import RigFile
+from labhil.signals import FloatArray, Hold
+
+Values = Mapping[str, float]
+Derivative = Callable[[FloatArray, FloatArray, FloatArray, Values], FloatArray]
+Output = Callable[[FloatArray, FloatArray, Values], FloatArray]
+Guess = Callable[[FloatArray, FloatArray], FloatArray]
+
+
+@dataclass(frozen=True)
+class RightHandSide:
+    """What a third party states of its rig; everything in SI units.
+
+    ``derivative(t, x, u, p)`` gives ẋ (states, k) for k windows at once: ``t`` (k,) s, ``x`` (states, k),
+    ``u`` (inputs, k), ``p`` values by parameter name. ``output(x, u, p)`` gives the outputs (channels, k).
+    ``guess(t, y)`` gives the state (states,) at the first of some samples ``y`` (n, channels) at ``t`` (n,).
+    ``states`` maps their names to typical errors of a guess; names that end in ``_velocity`` are zero at
+    rest. ``parameters`` are the rig's own, ``terms`` what may be added, neutral at zero. Between samples
+    the equation is stepped ``substeps`` times (classical Runge-Kutta), so f should be smooth there.
+    """
+
+    states: Mapping[str, float]
+    derivative: Derivative
+    output: Output
+    guess: Guess
+    parameters: tuple[Parameter, ...]
+    horizon: float
+    terms: tuple[Term, ...] = ()
+    baseline: tuple[str, ...] = ()
+    general: tuple[str, ...] = ()
+    substeps: int = 1
+    never_seen: Mapping[str, str] = field(default_factory=dict)
+
+    def __call__(self, rig: RigFile, record: Record | None = None) -> RightHandSideModel:
+        """The model of one rig."""
+        return RightHandSideModel(self, rig)
+
+
+class RightHandSideModel:
+    """The white-box model of a third party's rig (satisfies ``physics.model.Model``)."""
+
+    metric = Metric.WINDOWED_SIMULATION
+
+    def __init__(self, stated: RightHandSide, rig: RigFile) -> None:
+        self.stated = stated
+        self.kind = rig.kind.name
+        self.state_names = tuple(stated.states)
+        self.state_scale = np.array(list(stated.states.values()))
+        self.terms: Mapping[str, Term] = {term.key: term for term in stated.terms}
+        self.never_seen = stated.never_seen
+        self.horizon = rig.metric.horizon or stated.horizon
+        self.fixed = {n: v for n in rig.kind.known if (v := rig.known_number(n)) is not None}
+        own = tuple(p for p in stated.parameters if p.name not in self.fixed)
+        self.parameters = own + tuple(p for term in stated.terms for p in term.parameters)
+        self._index = index_of(self.parameters)
+
+    def horizon_at(self, theta: FloatArray) -> float:
+        """Scored horizon, s: as stated."""
+        return self.horizon
+
+    def prepare(self, record: Record) -> Record:
+        """The record itself."""
+        return record
+
+    def initial_states(self, record: Record, windows: Windows) -> FloatArray:
+        """The stated guess at the first samples of each window, (w, states)."""
+        states = [
+            self.stated.guess(record.t[a:b], record.outputs[a:b])
+            for a, b in zip(windows.first, windows.last, strict=True)
+        ]
+        return np.array(states, dtype=np.float64).reshape(len(windows), len(self.state_names))
+
+    def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
+        """Outputs of all windows, (N, channels)."""
+        values = self._values(theta)
+        x = self._trajectories(values, record, windows, states)
+        return np.ascontiguousarray(self.stated.output(x, record.inputs[windows.rows].T, values).T)
+
+    def coordinates(
+        self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
+    ) -> Mapping[str, FloatArray]:
+        """States and inputs along the simulation."""
+        x = self._trajectories(self._values(theta), record, windows, states)
+        inputs = dict(zip(record.input_names, record.inputs[windows.rows].T, strict=True))
+        return dict(zip(self.state_names, x, strict=True)) | inputs
+
+    def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
+        """The last state's derivative at these coordinates, (N,)."""
+        x = np.array([coordinates[name] for name in self.state_names])
+        u = np.array([values for name, values in coordinates.items() if name not in self.state_names])
+        return self.stated.derivative(np.zeros(x.shape[1]), x, u, self._values(theta))[-1]
+
+    def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
+        """What starts are fractions of: only the input is known here."""
+        largest = float(np.abs(record.inputs).max()) or 1.0
+        rate = float(np.abs(np.gradient(record.inputs[:, 0], record.t)).max()) or 1.0
+        return dict.fromkeys(Yardstick, 1.0) | {Yardstick.INPUT: largest, Yardstick.INPUT_RATE: rate}
+
+    def _values(self, theta: FloatArray) -> Values:
+        return {**self.fixed, **{key: float(theta[i]) for key, i in self._index.items()}}
+
+    def _trajectories(
+        self, values: Values, record: Record, windows: Windows, states: FloatArray
+    ) -> FloatArray:
+        """States of all windows' rows, (states, N); windows of different length end when they end."""
+        lengths = windows.last - windows.first
+        begins = np.r_[0, np.cumsum(lengths)[:-1]]
+        out = np.empty((len(self.state_names), len(windows.rows)))
+        x = states.T.astype(np.float64)
+        going = np.arange(len(windows))
+        for i in range(int(lengths.max())):
+            out[:, begins[going] + i] = x
+            staying = lengths[going] > i + 1
+            going, x = going[staying], x[:, staying]
+            if len(going):
+                x = self._step(values, record, windows.first[going] + i, x)
+        return out
+
+    def _step(self, values: Values, record: Record, rows: np.ndarray, x: FloatArray) -> FloatArray:
+        """From samples ``rows`` (k,) to the next ones."""
+        t, h = record.t[rows], (record.t[rows + 1] - record.t[rows]) / self.stated.substeps
+        held = np.array([hold is Hold.ZERO for hold in record.input_holds])[:, None]
+        before, after = record.inputs[rows].T, record.inputs[rows + 1].T
+        after = np.where(held, before, after)
+        f = self.stated.derivative
+        for k in range(self.stated.substeps):
+            share = np.array([k, k + 0.5, k + 1.0]) / self.stated.substeps
+            u = [before + s * (after - before) for s in share]
+            now = t + k * h
+            a = f(now, x, u[0], values)
+            b = f(now + 0.5 * h, x + 0.5 * h * a, u[1], values)
+            c = f(now + 0.5 * h, x + 0.5 * h * b, u[1], values)
+            d = f(now + h, x + h * c, u[2], values)
+            x = x + h * (a + 2.0 * b + 2.0 * c + d) / 6.0
+        if x.shape != a.shape:
+            raise UsageError(f"{self.kind}: the derivative has shape {a.shape}, expected {x.shape}")
+        return x
