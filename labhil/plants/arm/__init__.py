@@ -1,0 +1,21 @@
+"""A simulated arm of the UR class: its rigid body by MuJoCo (extra ``arm``), all else of our own."""
+
+from labhil.plants.arm.effects import EFFECTS, HIDDEN, all_parameters, parameters_of
+from labhil.plants.arm.links import ARMS, UR3E, UR5, UR10E, Link, Links
+from labhil.plants.arm.plant import ArmPlant, Trajectory, Truth
+
+__all__ = [
+    "ARMS",
+    "EFFECTS",
+    "HIDDEN",
+    "UR3E",
+    "UR5",
+    "UR10E",
+    "ArmPlant",
+    "Link",
+    "Links",
+    "Trajectory",
+    "Truth",
+    "all_parameters",
+    "parameters_of",
+]

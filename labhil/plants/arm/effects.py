@@ -1,0 +1,298 @@
+"""What a simulated arm can be made of: effects by name, and every number that can be set.
+
+A parameter is one number for the whole arm, or six, one a joint: ``coulomb_friction.level`` then stands
+for all joints and ``coulomb_friction.level[2]`` for joint 2 alone (joints count from 0). An effect may
+likewise be asked for on one joint only: ``load_dependent_friction[1]``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from labhil.errors import UnknownNameError, UsageError
+from labhil.plants.arm.links import JOINTS
+from labhil.signals import FloatArray
+
+Six = tuple[float, ...]
+Given = Mapping[str, float | Sequence[float]]
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """One effect beyond the bare arm.
+
+    ``strengths`` maps short names to defaults (SI) that make the effect vanish at zero; ``shapes`` are
+    its other numbers, without meaning while all strengths are zero.
+    """
+
+    about: str
+    strengths: Mapping[str, float | Six]
+    shapes: Mapping[str, float | Six] = field(default_factory=dict)
+
+
+def _all(value: float) -> Six:
+    return (value,) * JOINTS
+
+
+BARE_ARM: Mapping[str, float | Six] = {
+    "torque_constant": (13.26, 11.13, 10.62, 11.03, 11.47, 11.61),  # N·m/A, gear ratio included
+    "servo_bandwidth": 200.0,  # rad/s
+    "stamp_jitter": 0.0,  # s, largest deviation of a sample from its place in the raster
+    "q_noise": 1e-5,  # rad
+    "qd_noise": 1e-3,  # rad/s
+    "current_noise": (0.02, 0.02, 0.015, 0.006, 0.006, 0.006),  # A
+    "current_noise_memory": 0.0,  # correlation of the noise of one sample with that of the next
+    "current_resolution": 0.001,  # A
+    "start_temperature": (27.0, 27.0, 27.0, 28.0, 28.0, 28.0),  # °C
+    "ambient_temperature": 24.0,  # °C
+    "warming": (15.0, 8.0, 12.0, 60.0, 80.0, 80.0),  # K/W
+    "warming_time": 300.0,  # s
+    "winding_resistance": (1.2, 1.2, 1.2, 2.0, 2.0, 2.0),  # Ω
+    "temperature_noise": 0.03,  # K
+    "temperature_resolution": 0.0625,  # K
+    "supply_voltage": 48.0,  # V
+    "supply_resistance": 0.15,  # Ω
+    "voltage_noise": 0.05,  # V
+}
+"""The arm without any effect: parameters and their defaults (SI)."""
+
+EFFECTS: Mapping[str, Effect] = {
+    "viscous_friction": Effect(
+        "resistance c·q̇, N·m·s/rad", {"coefficient": (0.9, 0.4, 0.89, 0.16, 0.17, 0.12)}
+    ),
+    "coulomb_friction": Effect(
+        "dry friction of constant level, N·m", {"level": (0.91, 0.95, 0.59, 0.2, 0.17, 0.2)}
+    ),
+    "stribeck_friction": Effect(
+        "dry friction that goes from its level at rest to zero with speed, N·m and rad/s",
+        {"level": (-0.27, -0.45, -0.05, 0.03, 0.03, 0.09)},
+        {"velocity": (0.045, 0.039, 0.04, 0.025, 0.04, 0.033)},
+    ),
+    "static_friction": Effect("extra hold at rest, N·m", {"level": (0.6, 0.6, 0.4, 0.15, 0.15, 0.15)}),
+    "quadratic_viscous_friction": Effect(
+        "resistance c·q̇|q̇|, N·m·s²/rad²", {"coefficient": (0.4, 0.4, 0.4, 0.1, 0.1, 0.1)}
+    ),
+    "cubic_viscous_friction": Effect(
+        "resistance c·q̇³, N·m·s³/rad³", {"coefficient": (0.2, 0.2, 0.2, 0.05, 0.05, 0.05)}
+    ),
+    "friction_asymmetry": Effect(
+        "resistance c·|q̇| (N·m·s/rad) and a dry level (N·m) that is added forwards and taken off backwards",
+        {"coefficient": (0.3, 0.3, 0.3, 0.06, 0.06, 0.06), "level": (0.2, 0.2, 0.15, 0.05, 0.05, 0.05)},
+    ),
+    "position_dependent_friction": Effect(
+        "dry friction that grows with the angle, N·m/rad", {"slope": (0.3, 0.3, 0.2, 0.08, 0.08, 0.08)}
+    ),
+    "load_dependent_friction": Effect(
+        "dry friction μ·|τ_load| of the torque that the rigid body asks for", {"coefficient": _all(0.05)}
+    ),
+    "temperature_dependent_friction": Effect(
+        "viscous friction times exp(−rate·(T − reference)), 1/K and °C (needs viscous friction)",
+        {"rate": _all(0.03)},
+        {"reference": _all(30.0)},
+    ),
+    "presliding_friction": Effect(
+        "dry friction carried by bristles: N·m/rad and N·m·s/rad (needs a dry friction to carry)",
+        {"stiffness": (600.0, 600.0, 400.0, 150.0, 150.0, 150.0)},
+        {"damping": (1.0, 1.0, 0.7, 0.2, 0.2, 0.2)},
+    ),
+    "torque_ripple": Effect(
+        "amplitude·sin(order·q + phase), N·m, cycles per turn and rad (harmonic drive: twice 101 a turn)",
+        {"amplitude": (0.5, 0.5, 0.4, 0.15, 0.15, 0.15)},
+        {"order": _all(202.0), "phase": _all(0.0)},
+    ),
+    "added_inertia": Effect(
+        "inertia of the drives, kg·m² at the joint", {"inertia": (0.6, 0.6, 0.4, 0.08, 0.08, 0.08)}
+    ),
+    "payload": Effect(
+        "a point mass (kg) at a place in the flange's frame (m) that the controller does not know of",
+        {"mass": 1.5},
+        {"centre_x": 0.0, "centre_y": 0.0, "centre_z": 0.08},
+    ),
+    "base_tilt": Effect(
+        "the base is rolled about x, then pitched about y, rad", {"roll": 0.02, "pitch": 0.03}
+    ),
+    "joint_elasticity": Effect(
+        "a spring (rad/(N·m)) between drive and link; relaxation (s) is its damping over its stiffness",
+        {"compliance": (2e-4, 2e-4, 2e-4, 4e-4, 4e-4, 4e-4)},
+        {"relaxation": _all(2e-3)},
+    ),
+    "constant_force": Effect("a torque that is always there, N·m", {"force": (0.4, 0.4, 0.3, 0.1, 0.1, 0.1)}),
+    "sensor_offset": Effect(
+        "measured current = current + offset, A", {"offset": (0.1, -0.08, 0.06, 0.05, -0.04, 0.03)}
+    ),
+    "sensor_gain": Effect("measured current = (1 + gain)·current", {"gain": _all(0.05)}),
+    "clock_offset": Effect("currents are reported later than angles, s", {"offset": 0.008}),
+}
+"""Every effect by its name; an arm that does not name one is exactly the arm without it."""
+
+HIDDEN: Mapping[str, Effect] = {
+    "hidden_cable": Effect(
+        "a cable between forearm and flange that pulls on the wrist once it is taut, N/m and m",
+        {"stiffness": 150.0},
+        {"length": 0.16},
+    ),
+    "hidden_sticky_patch": Effect(
+        "dry friction level·exp(−((q − centre)/width)²) of one joint, N·m and rad",
+        {"level": (0.0, 0.0, 1.2, 0.0, 0.0, 0.0)},
+        {"centre": _all(0.3), "width": _all(0.15)},
+    ),
+}
+"""Effects that stand in no list of terms: what a diagnosis can find only as unmodelled."""
+
+EVERY: Mapping[str, Effect] = {**EFFECTS, **HIDDEN}
+"""Both."""
+
+DRY = (
+    "coulomb_friction", "stribeck_friction", "friction_asymmetry", "position_dependent_friction",
+    "load_dependent_friction", "hidden_sticky_patch",
+)  # fmt: skip
+POSITIVE = {
+    "torque_constant", "servo_bandwidth", "warming_time", "supply_voltage", "stribeck_friction.velocity",
+    "hidden_sticky_patch.width", "torque_ripple.order",
+}  # fmt: skip
+NOT_NEGATIVE = {
+    "stamp_jitter", "q_noise", "qd_noise", "current_noise", "current_noise_memory", "current_resolution",
+    "warming", "winding_resistance", "temperature_noise", "temperature_resolution", "supply_resistance",
+    "voltage_noise", "payload.mass", "presliding_friction.stiffness", "presliding_friction.damping",
+    "joint_elasticity.compliance", "joint_elasticity.relaxation", "hidden_cable.stiffness",
+    "hidden_cable.length", "clock_offset.offset",
+}  # fmt: skip
+LARGEST: Mapping[str, float] = {"clock_offset.offset": 0.1, "current_noise_memory": 0.999}
+
+
+@dataclass(frozen=True, slots=True)
+class Values:
+    """Numbers of a world by name; what belongs to an absent effect is zero."""
+
+    numbers: Mapping[str, float]
+    joints: Mapping[str, FloatArray]
+
+    def number(self, name: str) -> float:
+        """One number of the whole arm; 0 where its effect is absent."""
+        return self.numbers.get(name, 0.0)
+
+    def six(self, name: str, absent: float = 0.0) -> FloatArray:
+        """One number a joint (6,); ``absent`` where the effect is."""
+        return self.joints.get(name, np.full(JOINTS, absent))
+
+    def by_key(self) -> dict[str, float]:
+        """Every number by its key, ``coulomb_friction.level[2]`` for joint 2."""
+        per_joint = {f"{name}[{j}]": float(x) for name, six in self.joints.items() for j, x in enumerate(six)}
+        return dict(self.numbers) | per_joint
+
+
+def parameters_of(effect: str) -> dict[str, float | Six]:
+    """Return the effect's parameters by full name (``effect.parameter``) with their defaults."""
+    found = EVERY[effect]
+    return {f"{effect}.{name}": value for name, value in (*found.strengths.items(), *found.shapes.items())}
+
+
+def all_parameters() -> dict[str, float | Six]:
+    """Return every parameter that an arm takes, with its default (SI): one number, or one a joint."""
+    known = dict(BARE_ARM)
+    for effect in EVERY:
+        known |= parameters_of(effect)
+    return known
+
+
+def resolve(terms: Iterable[str], overrides: Given) -> Values:
+    """Return the numbers in force: the bare arm's and those of the effects in ``terms``.
+
+    UnknownNameError for an effect or a parameter that does not exist; UsageError for a joint that does
+    not, for the parameter of an effect that is not among ``terms``, and for values that make no world.
+    """
+    chosen = tuple(terms)
+    values = {name: _array(value) for name, value in BARE_ARM.items()}
+    for name, of_joints in _joints_of(chosen).items():
+        for parameter, default in parameters_of(name).items():
+            values[parameter] = _array(default)
+            if parameter.partition(".")[2] in EVERY[name].strengths and values[parameter].size > 1:
+                values[parameter][[j for j in range(JOINTS) if j not in of_joints]] = 0.0
+    # what is said of all joints comes before what is said of one
+    for key, value in sorted(overrides.items(), key=lambda item: "[" in item[0]):
+        _put(values, key, value, chosen)
+    _check(values)
+    present = {split(term)[0] for term in chosen}
+    _check_company(present)
+    return Values(
+        {name: float(value[0]) for name, value in values.items() if value.size == 1},
+        {name: value for name, value in values.items() if value.size > 1},
+    )
+
+
+def split(key: str) -> tuple[str, int | None]:
+    """Take ``name[2]`` apart; UsageError when what stands in the brackets is no joint."""
+    name, bracket, rest = key.partition("[")
+    if not bracket:
+        return key, None
+    if not re.fullmatch(rf"[0-{JOINTS - 1}]\]", rest):
+        raise UsageError(f"{key}: expected a joint from 0 to {JOINTS - 1} in brackets, such as {name}[2]")
+    return name, int(rest[0])
+
+
+def _joints_of(terms: tuple[str, ...]) -> dict[str, set[int]]:
+    """Which joints have each effect."""
+    found: dict[str, set[int]] = {}
+    for term in terms:
+        name, joint = split(term)
+        if name not in EVERY:
+            raise UnknownNameError("effect", name, EFFECTS)
+        six = any(isinstance(value, tuple) for value in EVERY[name].strengths.values())
+        if joint is not None and not six:
+            raise UsageError(f"{term}: {name} belongs to the whole arm and takes no joint")
+        found.setdefault(name, set()).update(range(JOINTS) if joint is None else (joint,))
+    return found
+
+
+def _array(value: float | Sequence[float]) -> FloatArray:
+    return np.atleast_1d(np.array(value, dtype=np.float64))
+
+
+def _put(
+    values: dict[str, FloatArray], key: str, value: float | Sequence[float], chosen: tuple[str, ...]
+) -> None:
+    """Set one parameter, of one joint or of all."""
+    name, joint = split(key)
+    if name not in values:
+        _refuse(name, chosen)
+    place, given = values[name], _array(value)
+    if joint is not None and place.size == 1:
+        raise UsageError(f"{key}: {name} belongs to the whole arm and takes no joint")
+    if given.size not in ({1} if joint is not None else {1, place.size}) or given.ndim != 1:
+        wanted = "one number" if joint is not None or place.size == 1 else f"one number, or {JOINTS}"
+        raise UsageError(f"{key}: expected {wanted}, found {value!r}")
+    place[slice(None) if joint is None else joint] = given if joint is None else given[0]
+
+
+def _refuse(name: str, chosen: tuple[str, ...]) -> None:
+    known = all_parameters()
+    if name not in known:
+        raise UnknownNameError("parameter", name, known)
+    effect = name.partition(".")[0]
+    raise UsageError(
+        f"{name} belongs to {effect}, which is not among the terms: {', '.join(chosen) or 'none'}"
+    )
+
+
+def _check(values: Mapping[str, FloatArray]) -> None:
+    for name, value in values.items():
+        positive, signed = name in POSITIVE, name not in NOT_NEGATIVE
+        wanted = "positive" if positive else "finite" if signed else "finite and not negative"
+        bad = ~np.isfinite(value) | (positive & (value <= 0.0)) | ((not signed) & (value < 0.0))
+        if np.any(bad):
+            raise UsageError(f"{name} must be {wanted}, found {value[bad][0]:g}")
+        if name in LARGEST and np.any(value > LARGEST[name]):
+            raise UsageError(f"{name} must be at most {LARGEST[name]:g}, found {value.max():g}")
+
+
+def _check_company(present: set[str]) -> None:
+    if "presliding_friction" in present and not set(DRY) & present:
+        raise UsageError(
+            f"presliding_friction needs a dry friction to carry; add one of: {', '.join(DRY[:-1])}"
+        )
+    if "temperature_dependent_friction" in present and "viscous_friction" not in present:
+        raise UsageError("temperature_dependent_friction needs viscous_friction")

@@ -1,0 +1,112 @@
+"""Links on springs: the drive moves as the servo says, the link follows through the joint's compliance.
+
+M(q)·q̈ + C(q, q̇)·q̇ + G(q) = K·(θ − q) + D·(θ̇ − q̇) with the drive's angle θ; the torque on the right is
+what the drive has to give. A step balances that at a share of itself: the middle for springs that are slow
+against it, the end for those that are too fast to be followed (and so come to rest). Springs are solved
+implicitly by adding to the inertia what they hold back within the step.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from labhil.plants.arm.effects import Values
+from labhil.plants.arm.links import JOINTS
+from labhil.plants.arm.rigid_body import RigidBody
+from labhil.plants.arm.servo import Motion, cubic, cubic_slope
+from labhil.signals import FloatArray
+
+LONGEST_STEP = 2e-3
+"""s; against steps of 0.05 ms that costs 1 mN·m (RMS) at the default compliances, 6 at a hundredth of them."""
+LEAST_COMPLIANCE = 1e-7
+"""rad/(N·m), of the joints without elasticity beside those with it; they need no damping of their own."""
+SETTLING = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Springs:
+    """Stiffness N·m/rad and damping N·m·s/rad of the joints, (6,) each."""
+
+    stiffness: FloatArray
+    damping: FloatArray
+
+    @classmethod
+    def of(cls, values: Values) -> Springs | None:
+        """Pick them out of a plant's parameters; None when every joint is stiff."""
+        compliance = values.six("joint_elasticity.compliance")
+        if not np.any(compliance > 0.0):
+            return None
+        stiffness = 1.0 / np.maximum(compliance, LEAST_COMPLIANCE)
+        relaxation = values.six("joint_elasticity.relaxation")
+        return cls(stiffness, np.where(compliance > 0.0, stiffness * relaxation, 0.0))
+
+
+class ElasticBody:
+    """The links behind their springs; begins in the balance that :meth:`settle` finds."""
+
+    def __init__(self, body: RigidBody, springs: Springs) -> None:
+        self._body = body
+        self._springs = springs
+        self._drive = np.zeros((2, JOINTS))
+        self._link = np.zeros((2, JOINTS))
+        self._torque = np.zeros(JOINTS)
+        self._inertia = np.ones(JOINTS)
+
+    def settle(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> None:
+        """Put the links where they hang while the drives move steadily; (6,) each."""
+        self._body.set_armature(np.zeros(JOINTS))
+        link = q.copy()
+        for _ in range(SETTLING):
+            torque = self._body.torques(link[None], qd[None], qdd[None])[0]
+            link = q - torque / self._springs.stiffness
+        self._drive[:] = q, qd
+        self._link[:] = link, qd
+        self._torque = self._springs.stiffness * (q - link)
+        still = np.zeros((JOINTS, JOINTS))
+        weight = self._body.torques(link[None], still[:1], still[:1])
+        masses = self._body.torques(np.tile(link, (JOINTS, 1)), still, np.eye(JOINTS)) - weight
+        self._inertia = np.diag(masses).copy()
+
+    def torques(self, motion: Motion, h: FloatArray) -> FloatArray:
+        """Return the drives' torques (n, 6) N·m; row i comes ``h[i]`` s after the one before."""
+        out = np.empty_like(motion.q)
+        for i in range(len(h)):
+            steps = max(1, math.ceil(h[i] / LONGEST_STEP - 1e-9)) if h[i] > 0.0 else 0
+            out[i] = self._advance(motion.q[i], motion.qd[i], h[i], steps)
+        return out
+
+    def _advance(self, q: FloatArray, qd: FloatArray, h: float, steps: int) -> FloatArray:
+        """Go ``steps`` steps on while the drives come to q and q̇ within h (s); return the torques (6,) then.
+
+        They are those of the last step's balance, drawn on to its end along those of the step before.
+        """
+        end = self._torque
+        if steps:
+            k, d, step = self._springs.stiffness, self._springs.damping, h / steps
+            share = self._shares(step)
+            held_back = share * step * (d + share * step * k)
+            self._body.set_armature(held_back)
+            moments = (np.arange(steps, dtype=np.float64)[:, None] + share) * step
+            span = np.array([[h]])
+            angles = cubic(self._drive[0], self._drive[1], q, qd, moments, span)
+            rates = cubic_slope(self._drive[0], self._drive[1], q, qd, moments, span)
+            for angle, rate in zip(angles, rates, strict=True):
+                where, speed = self._link
+                ahead = where + share * step * speed
+                pull = k * (angle - ahead) + d * (rate - speed)
+                gain = step * self._body.accelerations(ahead, speed, pull)
+                torque = pull - held_back * gain / step
+                end = torque + (1.0 - share) * (torque - self._torque)
+                self._link[0] += step * (speed + share * gain)
+                self._link[1] += gain
+                self._torque = torque
+        self._drive[:] = q, qd
+        return end
+
+    def _shares(self, step: float) -> FloatArray:
+        """At which share of a step each spring is balanced (6,): from one half, slow, to one, fast."""
+        pace = self._springs.stiffness / self._inertia * step**2
+        return np.asarray(0.5 + 0.5 * pace / (1.0 + pace))

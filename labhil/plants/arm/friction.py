@@ -1,0 +1,214 @@
+"""Friction of the simulated joints, and the warmth that it makes.
+
+The motion is given, so dry friction needs no event search: a joint that moves feels its level against
+the motion; one that stops keeps what it felt, until it has moved by ``STICK`` again. Bristles, where they
+are among the effects, take the place of that.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from labhil.compiled import compiled
+from labhil.plants.arm.effects import Values
+from labhil.signals import FloatArray
+
+STICK = 1e-6
+"""How far (rad) a joint moves from full dry friction one way to none, and once more to full the other way."""
+STATIC_VELOCITY = 1e-3
+"""Speed (rad/s) over which the extra hold at rest is lost."""
+LEAST_LEVEL = 1e-9
+"""Dry level (N·m) under which bristles carry nothing."""
+MOMENTS = 8
+"""Into how many moments the time between two samples is cut where friction remembers."""
+
+
+class Friction(NamedTuple):
+    """Strengths of all friction effects, (6,) each (SI, eq. 4.64 and beyond); zero where one is absent."""
+
+    viscous: FloatArray
+    quadratic: FloatArray
+    cubic: FloatArray
+    asymmetric: FloatArray
+    coulomb: FloatArray
+    stribeck: FloatArray
+    stribeck_velocity: FloatArray
+    static: FloatArray
+    asymmetric_level: FloatArray
+    slope: FloatArray
+    load: FloatArray
+    patch: FloatArray
+    patch_centre: FloatArray
+    patch_width: FloatArray
+    stiffness: FloatArray
+    damping: FloatArray
+    thinning: FloatArray
+    reference: FloatArray
+
+    @classmethod
+    def of(cls, values: Values) -> Friction:
+        """Pick them out of a plant's parameters."""
+        return cls(
+            viscous=values.six("viscous_friction.coefficient"),
+            quadratic=values.six("quadratic_viscous_friction.coefficient"),
+            cubic=values.six("cubic_viscous_friction.coefficient"),
+            asymmetric=values.six("friction_asymmetry.coefficient"),
+            coulomb=values.six("coulomb_friction.level"),
+            stribeck=values.six("stribeck_friction.level"),
+            stribeck_velocity=values.six("stribeck_friction.velocity", 1.0),
+            static=values.six("static_friction.level"),
+            asymmetric_level=values.six("friction_asymmetry.level"),
+            slope=values.six("position_dependent_friction.slope"),
+            load=values.six("load_dependent_friction.coefficient"),
+            patch=values.six("hidden_sticky_patch.level"),
+            patch_centre=values.six("hidden_sticky_patch.centre"),
+            patch_width=values.six("hidden_sticky_patch.width", 1.0),
+            stiffness=values.six("presliding_friction.stiffness"),
+            damping=values.six("presliding_friction.damping"),
+            thinning=values.six("temperature_dependent_friction.rate"),
+            reference=values.six("temperature_dependent_friction.reference"),
+        )
+
+
+class Warmth(NamedTuple):
+    """How joints warm up: K/W (6,), s, °C, Ω (6,), N·m/A (6,)."""
+
+    warming: FloatArray
+    time: float
+    ambient: float
+    resistance: FloatArray
+    torque_constant: FloatArray
+
+    @classmethod
+    def of(cls, values: Values) -> Warmth:
+        """Pick it out of a plant's parameters."""
+        return cls(
+            warming=values.six("warming"),
+            time=values.number("warming_time"),
+            ambient=values.number("ambient_temperature"),
+            resistance=values.six("winding_resistance"),
+            torque_constant=values.six("torque_constant"),
+        )
+
+
+class Memory(NamedTuple):
+    """What the joints remember, (6,) each.
+
+    ``angle`` rad and ``velocity`` rad/s at the last sample; ``stuck`` from −1 to 1, the share of the dry
+    level that is felt; ``bristle`` rad; ``temperature`` °C.
+    """
+
+    angle: FloatArray
+    velocity: FloatArray
+    stuck: FloatArray
+    bristle: FloatArray
+    temperature: FloatArray
+
+
+@compiled
+def dry_level(q: float, speed: float, side: float, load: float, j: int, f: Friction) -> float:
+    """Return the dry friction (N·m) of joint j at q (rad) that moves towards ``side``; never negative."""
+    level = f.coulomb[j] + side * f.asymmetric_level[j] + f.slope[j] * q + f.load[j] * abs(load)
+    if f.stribeck[j] != 0.0:
+        level += f.stribeck[j] * math.exp(-speed / f.stribeck_velocity[j])
+    if f.patch[j] != 0.0:
+        level += f.patch[j] * math.exp(-(((q - f.patch_centre[j]) / f.patch_width[j]) ** 2))
+    if f.static[j] != 0.0:
+        level += f.static[j] * math.exp(-speed / STATIC_VELOCITY)
+    return max(level, 0.0)
+
+
+@compiled
+def viscous_torque(v: float, temperature: float, j: int, f: Friction) -> float:
+    """Return the resistance (N·m) of joint j at velocity v (rad/s) that vanishes at rest."""
+    speed = abs(v)
+    thinned = f.viscous[j]
+    if f.thinning[j] != 0.0:
+        thinned *= math.exp(-f.thinning[j] * (temperature - f.reference[j]))
+    return v * (thinned + speed * (f.quadratic[j] + f.cubic[j] * speed)) + f.asymmetric[j] * speed
+
+
+@compiled
+def side_of(v: float) -> float:
+    """Return the sign of v, 0 for none."""
+    if v == 0.0:
+        return 0.0
+    return 1.0 if v > 0.0 else -1.0
+
+
+@compiled
+def relaxed(z: float, q: float, v: float, h: float, load: float, j: int, f: Friction) -> float:
+    """Return the bristles' deflection (rad) after h (s) at steady v: ż = v − (σ₀|v|/g)·z, solved exactly."""
+    level = dry_level(q, abs(v), side_of(v), load, j, f)
+    if level < LEAST_LEVEL:
+        return 0.0
+    rate = f.stiffness[j] * abs(v) / level
+    if rate * h < 1e-12:
+        return z + v * h
+    return v / rate + (z - v / rate) * math.exp(-rate * h)
+
+
+@compiled
+def dry_torque(q: float, v: float, load: float, j: int, m: Memory, f: Friction) -> float:
+    """Return the dry friction (N·m) of joint j, by its bristles where it has some: σ₀·z + σ₁·ż."""
+    if f.stiffness[j] == 0.0:
+        share = m.stuck[j]
+        return share * dry_level(q, abs(v), side_of(share), load, j, f)
+    level = dry_level(q, abs(v), side_of(v), load, j, f)
+    if level < LEAST_LEVEL:
+        return 0.0
+    z = m.bristle[j]
+    return f.stiffness[j] * z + f.damping[j] * (v - f.stiffness[j] * abs(v) / level * z)
+
+
+@compiled
+def remember(q: float, v: float, h: float, load: float, j: int, m: Memory, f: Friction) -> None:
+    """Carry joint j over h (s) to angle q and velocity v, its velocity on a straight line in between."""
+    d = h / MOMENTS
+    begin, angle = m.velocity[j], m.angle[j]
+    # the straight line of velocities need not end exactly at q; the rest is spread over the way
+    missing = ((q - angle) / h - 0.5 * (begin + v)) if h > 0.0 else 0.0
+    for k in range(MOMENTS):
+        if h == 0.0:
+            break
+        speed = begin + (k + 0.5) / MOMENTS * (v - begin) + missing
+        angle += 0.5 * d * speed
+        if f.stiffness[j] > 0.0:
+            m.bristle[j] = relaxed(m.bristle[j], angle, speed, d, load, j, f)
+        else:
+            m.stuck[j] = min(max(m.stuck[j] + d * speed / STICK, -1.0), 1.0)
+        angle += 0.5 * d * speed
+    m.angle[j], m.velocity[j] = q, v
+
+
+@compiled
+def rub(
+    q: FloatArray,
+    qd: FloatArray,
+    h: FloatArray,
+    load: FloatArray,
+    other: FloatArray,
+    m: Memory,
+    f: Friction,
+    w: Warmth,
+    out: FloatArray,
+    temperatures: FloatArray,
+) -> None:
+    """Walk a motion (n, 6), row i ``h[i]`` s after the one before; write friction N·m and temperatures °C.
+
+    ``load`` and ``other`` (n, 6) N·m are what the drive carries beside: the rigid body's torque, which
+    dry friction may depend on, and all else. Both warm the windings.
+    """
+    for i in range(h.size):
+        kept = math.exp(-h[i] / w.time)
+        for j in range(q.shape[1]):
+            remember(q[i, j], qd[i, j], h[i], load[i, j], j, m, f)
+            temperature = m.temperature[j]
+            torque = dry_torque(q[i, j], qd[i, j], load[i, j], j, m, f)
+            torque += viscous_torque(qd[i, j], temperature, j, f)
+            current = (load[i, j] + other[i, j] + torque) / w.torque_constant[j]
+            heat = abs(torque * qd[i, j]) + w.resistance[j] * current * current
+            final = w.ambient + w.warming[j] * heat
+            m.temperature[j] = final + (temperature - final) * kept
+            out[i, j], temperatures[i, j] = torque, m.temperature[j]
