@@ -20,7 +20,7 @@ from labhil.plants.arm.servo import Motion, cubic, cubic_slope
 from labhil.signals import FloatArray
 
 LONGEST_STEP = 2e-3
-"""s; against steps of 0.05 ms that costs 1 mN·m (RMS) at the default compliances, 6 at a hundredth of them."""
+"""s; against steps of 0.05 ms that costs 1 mN·m (RMS) at the default compliances, 6 at 1/200 of them."""
 LEAST_COMPLIANCE = 1e-7
 """rad/(N·m), of the joints without elasticity beside those with it; they need no damping of their own."""
 SETTLING = 20
