@@ -23,7 +23,7 @@ OUTLYING = 2.0
 OTHER_VELOCITIES = (-0.8, -0.4, -0.2, 0.2, 0.4, 0.8)
 """Where they begin anew, in scales of the state beside the measured velocity."""
 
-TRIALS = 24
+TRIALS = 12
 """States that are tried anew in every window when a fit settles."""
 
 NEAR, FAR = 0.05, 0.5
@@ -142,7 +142,7 @@ def search_states(
         centre = problem.guess if k % 2 else best
         reach = (FAR if k % 3 == 0 else NEAR) * problem.model.state_scale
         trial = centre + random.standard_normal(best.shape) * reach
-        trial = _damped_states(problem, z, trial, 6, every)
+        trial = _damped_states(problem, z, trial, 4, every)
         trial_costs = _window_costs(problem, z, trial)
         better = trial_costs < costs
         best, costs = np.where(better[:, None], trial, best), np.where(better, trial_costs, costs)
