@@ -74,6 +74,7 @@ class Fit:
     by_window: list[WindowEstimate]
     sigma: FloatArray
     residuals: FloatArray
+    fitted: Fitted
     intervals: Intervals
     simultaneous: bool
     train: Score
@@ -212,6 +213,7 @@ def _finish(
         by_window=by_window,
         sigma=sigma,
         residuals=residuals.reshape(-1, channels),
+        fitted=fitted,
         intervals=how.intervals,
         simultaneous=how.simultaneous,
         train=score(model, fitted.theta, record, sigma),

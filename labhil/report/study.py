@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from labhil.diagnose.diagnosis import Diagnosis, diagnose
 from labhil.errors import RecordingError, UnknownNameError, UsageError
 from labhil.identify.fit import Fit, Options, fit
+from labhil.identify.further_channels import with_help
 from labhil.identify.windows import FEWEST_IN_WINDOW, split
 from labhil.physics.model import Model, Record, index_of, terms_named
 from labhil.physics.rigs import model_for, record_of, rig_model
@@ -148,6 +149,8 @@ def fit_study(
         start=values_of(start) if start is not None else None,
         options=how,
     )
+    judged = with_help(result.identifiability, material.rig, result.fitted)
+    result = replace(result, identifiability=judged)
     seconds = time.perf_counter() - began
     data = fit_json(result, material.sources("train"), model.kind, estimator, 0, seconds)
     return FitResult(result, material, data)

@@ -137,6 +137,8 @@ def _fit_notes(fit: Fit) -> list[str]:
             f"The data know {fit.identifiability.rank} of {fit.identifiability.of} parameters; "
             f"what they know of the rest: {known}."
         )
+        if fit.identifiability.would_help:
+            notes.append(f"It would help to know or to record: {', '.join(fit.identifiability.would_help)}.")
     if fit.by_window and fit.window < fit.by_window[-1].window:
         notes.append(
             f"Longer windows than {fit.window:.3g} s do not fit to the noise: the plant itself is disturbed, "

@@ -1,0 +1,102 @@
+"""Intervals against a linear problem, where the right answers are known in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from labhil.errors import UnknownNameError
+from labhil.identify.identifiability import Identifiability, identifiability, weak_parameters, what_would_help
+from labhil.identify.intervals import (
+    Intervals,
+    bootstrap_intervals,
+    interval_method,
+    quantile,
+    simultaneous_quantile,
+)
+from labhil.physics.terms import Parameter
+
+N, P = 600, 3
+
+
+def linear(seed: int, share: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Jacobian, residuals (noise AR(1) with this share) and estimates of a straight regression."""
+    random = np.random.default_rng(seed)
+    J = random.standard_normal((N, P)).cumsum(axis=0)
+    white = random.standard_normal(N)
+    noise = white.copy()
+    for i in range(1, N):
+        noise[i] = share * noise[i - 1] + np.sqrt(1 - share**2) * white[i]
+    beta = np.linalg.lstsq(J, J @ np.ones(P) + noise, rcond=None)[0]
+    return J, J @ (beta - 1.0) - noise, beta
+
+
+@pytest.mark.parametrize("share", [0.0, 0.6])
+def test_bootstrap_intervals_cover_white_and_coloured_noise_alike(share):
+    covered = []
+    for seed in range(120):
+        J, residuals, beta = linear(seed, share)
+        intervals = bootstrap_intervals(J, residuals, beta, N - P, quantile(0.9), seed=seed)
+        covered += [low <= 1.0 <= high for low, high in intervals]
+    assert stats.binomtest(sum(covered), len(covered), 0.9).pvalue > 1e-4 or np.mean(covered) > 0.83
+    assert np.mean(covered) < 0.97
+
+
+def test_the_bootstrap_of_white_noise_agrees_with_the_classical_error():
+    J, residuals, beta = linear(3)
+    error = np.sqrt(np.diag(np.linalg.inv(J.T @ J)) * (residuals @ residuals) / (N - P))
+    intervals = np.array(bootstrap_intervals(J, residuals, beta, N - P, quantile()))
+    assert intervals[:, 1] - intervals[:, 0] == pytest.approx(2 * quantile() * error, rel=0.15)
+
+
+INDEPENDENT = stats.norm.ppf(0.5 + 0.5 * 0.99**0.5)
+
+
+@pytest.mark.parametrize(("correlation", "exact"), [(0.0, INDEPENDENT), (1.0, 2.5758)])
+def test_simultaneous_quantiles_of_two_parameters(correlation, exact):
+    covariance = np.array([[4.0, 2.0 * correlation], [2.0 * correlation, 1.0]])
+    assert simultaneous_quantile(covariance) == pytest.approx(exact, abs=0.03)
+
+
+def test_a_parameter_without_a_finite_error_does_not_widen_the_others():
+    covariance = np.diag([1.0, np.inf])
+    assert simultaneous_quantile(covariance) == pytest.approx(quantile(), abs=0.03)
+
+
+def test_an_unknown_method_is_told_with_those_that_exist():
+    assert interval_method("profile") is Intervals.PROFILE
+    with pytest.raises(UnknownNameError, match="profile"):
+        interval_method("profil")
+
+
+def parameters(*names: str) -> list[Parameter]:
+    return [Parameter(name, "1", 0.1) for name in names]
+
+
+def test_products_that_are_known_are_named_where_single_values_are_not():
+    # y depends on a·b and c/b only
+    random = np.random.default_rng(1)
+    first, second = random.standard_normal((2, 400, 1))
+    values = np.array([2.0, 3.0, 0.5])
+    by_log = np.hstack([first, first - second, second]) * 100.0
+    found = identifiability(parameters("a", "b", "c"), values, by_log / values, 1.0)
+    assert (found.rank, found.of) == (2, 3)
+    assert len(found.combinations) == 2
+    for text in found.combinations:
+        moved = dict(zip("abc", np.exp(np.array([1.0, -1.0, -1.0])), strict=True))
+        assert eval(text.replace("·", "*").replace("^", "**"), {}, moved) == pytest.approx(1.0)
+    assert weak_parameters(parameters("a", "b", "c"), values, by_log / values, 1.0).all()
+
+
+def test_what_the_noise_drowns_is_weak_and_what_it_does_not_is_known():
+    jacobian = np.eye(2) * np.array([1e3, 1e-1])
+    assert weak_parameters(parameters("a", "b"), np.ones(2), jacobian, 1.0).tolist() == [False, True]
+
+
+def test_channels_that_free_a_direction_are_named():
+    lacking = Identifiability(2, 3, ("a·b",), ())
+    options = {"current": lambda: Identifiability(3, 3, (), ()), "angle": lambda: lacking}
+    assert what_would_help(lacking, options).would_help == ("current",)
+    whole = Identifiability(3, 3, (), ())
+    assert what_would_help(whole, options) is whole
