@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from labhil.experiment.excitation import Excitation
+from labhil.experiment.excitation.function import Excitation, columns_of
 from labhil.experiment.experiment import Stabilise, TimedStep
 from labhil.signals import Stream
 
@@ -43,7 +43,7 @@ class _Feedback:
 
 @dataclass(frozen=True, slots=True)
 class _Drive:
-    signal: str
+    column: str
     start: float
     end: float
     excitation: Excitation
@@ -59,7 +59,7 @@ class Controller:
 
     def __init__(self, steps: Sequence[TimedStep], stream: Stream, safe: Mapping[str, float]) -> None:
         self._safe = dict(safe)
-        self._drives = [_drive(timed, stream) for timed in steps]
+        self._drives = [drive for timed in steps for drive in _drives(timed, stream)]
 
     def requested(self, t: float, values: Sequence[float]) -> dict[str, float]:
         """Return the value of every command after the sample ``values`` at time ``t``.
@@ -70,13 +70,18 @@ class Controller:
         for drive in self._drives:
             effort = drive.feedback.effort(t, values) if drive.feedback is not None else 0.0
             if drive.start <= t < drive.end:
-                wanted[drive.signal] = drive.excitation(t - drive.start) - effort
+                wanted[drive.column] = drive.excitation(t - drive.start) - effort
         return wanted
 
 
-def _drive(timed: TimedStep, stream: Stream) -> _Drive:
+def _drives(timed: TimedStep, stream: Stream) -> list[_Drive]:
+    """A drive for the command, or for each column of a vector: ``name_0``, ``name_1``, …"""
     step, feedback = timed.step, None
     if step.stabilise is not None:
         column = stream.columns_of(step.stabilise.on).start
         feedback = _Feedback(step.stabilise, column, Derivative(step.stabilise.filter))
-    return _Drive(step.signal, timed.start, timed.end, step.make(), feedback)
+    parts = columns_of(timed.make())
+    names = (step.signal,) if len(parts) == 1 else [f"{step.signal}_{i}" for i in range(len(parts))]
+    return [
+        _Drive(name, timed.start, timed.end, part, feedback) for name, part in zip(names, parts, strict=True)
+    ]

@@ -5,20 +5,25 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from labhil.errors import ExperimentFileError, UnknownNameError, suggestion
-from labhil.experiment.excitation import Excitation, ExcitationKeys, make_excitation
+from labhil.experiment.excitation.function import Excitation, Excitations, Seed
+from labhil.experiment.excitation.make import ExcitationKeys, check_keys, make_excitation
+from labhil.experiment.excitation.table import Between
+from labhil.experiment.excitation.tones import PhaseRule, Sweep
 from labhil.experiment.toml import to_toml
 from labhil.rig import RigFile, default_rig, explain, load_rig
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+Numbers = tuple[Finite, ...]
+Natural = Annotated[int, Field(ge=0)]
 
 TWIN = "twin"
 """The address that stands for "start the simulated device, and stop it afterwards"."""
@@ -32,10 +37,13 @@ class _Section(BaseModel):
 
 
 class ExperimentSection(_Section):
-    """``[experiment]``: what this acquisition is called, and the seed of whatever is drawn at random."""
+    """``[experiment]``: what this acquisition is called, and the seed of whatever is drawn at random.
+
+    Each step draws from a sequence of its own, begun with this seed and its place in the file.
+    """
 
     name: Annotated[str, Field(min_length=1)]
-    seed: int = 0
+    seed: Natural = 0
 
 
 class TwinSection(_Section):
@@ -46,7 +54,7 @@ class TwinSection(_Section):
     """
 
     speed: Positive = 1.0
-    seed: Annotated[int, Field(ge=0)] = 0
+    seed: Natural = 0
     terms: tuple[str, ...] | None = None
     set: dict[str, Finite] = {}
     wire: Literal["pty", "tcp"] = "pty"
@@ -92,28 +100,51 @@ class Step(_Section):
     duration: Positive
     at: NotNegative | None = None
     stabilise: Stabilise | None = None
-    frequencies: tuple[Finite, ...] | None = None
-    amplitude: Finite | tuple[Finite, ...] | None = None
-    phases: tuple[Finite, ...] | None = None
+    frequencies: Numbers | None = None
+    amplitude: Finite | Numbers | None = None
+    phases: Numbers | PhaseRule | None = None
     offset: Finite | None = None
     level: Finite | None = None
-    levels: tuple[Finite, ...] | None = None
+    levels: Numbers | None = None
     dwell: Positive | None = None
+    low: Finite | Numbers | None = None
+    high: Finite | Numbers | None = None
+    count: int | None = None
+    stages: int | None = None
+    sweep: Sweep | None = None
+    there_and_back: bool | None = None
+    base_frequency: Positive | None = None
+    harmonics: int | None = None
+    centre: Finite | Numbers | None = None
+    speed: Finite | Numbers | None = None
+    acceleration: Finite | Numbers | None = None
+    sine: tuple[Numbers, ...] | None = None
+    cosine: tuple[Numbers, ...] | None = None
+    path: str | None = None
+    between: Between | None = None
+    seed: Natural | None = None
 
     @model_validator(mode="after")
     def _can_be_made(self) -> Step:
         try:
-            self.make()
+            check_keys(self.excitation, self._keys())
+            # a table is read when it is known where the experiment file lies
+            if self.path is None:
+                self.make()
         except UnknownNameError as error:
             raise ValueError(str(error)) from error
         return self
 
-    def make(self) -> Excitation:
-        """Return the excitation, a function of the step's own time."""
-        keys = ExcitationKeys(
-            self.frequencies, self.amplitude, self.phases, self.offset, self.level, self.levels, self.dwell
-        )
-        return make_excitation(self.excitation, keys, self.duration)
+    def make(self, seed: Seed = 0, directory: Path = Path()) -> Excitation | Excitations:
+        """Return the excitation, a function of the step's own time.
+
+        ``seed`` begins what is drawn unless the step has its own; ``directory`` is where relative paths
+        begin. Raises ValueError where a table cannot be read.
+        """
+        return make_excitation(self.excitation, self._keys(), self.duration, seed, directory)
+
+    def _keys(self) -> ExcitationKeys:
+        return ExcitationKeys(**{field.name: getattr(self, field.name) for field in fields(ExcitationKeys)})
 
 
 class RecordSection(_Section):
@@ -135,11 +166,20 @@ class RecordSection(_Section):
 
 @dataclass(frozen=True, slots=True)
 class TimedStep:
-    """A step with its place in the run: from ``start`` to ``end``, s of the device's clock."""
+    """A step with its place in the run: from ``start`` to ``end``, s of the device's clock.
+
+    ``seed`` and ``directory`` are what the experiment gives it to make its excitation.
+    """
 
     index: int
     step: Step
     start: float
+    seed: Seed = 0
+    directory: Path = Path()
+
+    def make(self) -> Excitation | Excitations:
+        """Return the excitation; ValueError where its table cannot be read."""
+        return self.step.make(self.seed, self.directory)
 
     @property
     def end(self) -> float:
@@ -184,7 +224,8 @@ class Experiment(_Section):
         timed: list[TimedStep] = []
         end = 0.0
         for index, step in enumerate(self.steps):
-            timed.append(TimedStep(index, step, end if step.at is None else step.at))
+            start = end if step.at is None else step.at
+            timed.append(TimedStep(index, step, start, (self.experiment.seed, index), self.path.parent))
             end = max(end, timed[-1].end)
         return tuple(timed)
 

@@ -10,10 +10,12 @@ import numpy as np
 
 from labhil.driver import DriverSpec
 from labhil.errors import ExperimentFileError, UnknownNameError
-from labhil.experiment.excitation import crest_factor, sampled
+from labhil.experiment.excitation.function import columns_of, sampled
+from labhil.experiment.excitation.spectrum import Spectrum, spectrum_of
 from labhil.experiment.experiment import TWIN, DeviceSection, Experiment, TimedStep
 from labhil.plugins import load_driver, load_twin
 from labhil.rig import Limit, RigFile
+from labhil.signals import FloatArray, Signal
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +38,7 @@ class StepPlan:
     lowest: float
     highest: float
     fastest: float
-    crest_factor: float
+    spectrum: Spectrum
     warnings: tuple[str, ...]
 
 
@@ -70,6 +72,7 @@ class Plan:
                 yield "    no limits: the rig file has no [limits], so nothing is clipped and nothing trips"
         for step in self.steps:
             yield f"  {_step_in_words(step)}"
+            yield from (f"    {line}" for line in _spectrum_in_words(step))
         for warning in self.warnings():
             yield f"  note: {warning}"
 
@@ -119,15 +122,42 @@ def _step_plan(path: Path, timed: TimedStep, device: DevicePlan) -> StepPlan:
         raise ExperimentFileError(
             f"{place}.stabilise.on: {UnknownNameError('signal', step.stabilise.on, names)}"
         )
-    rate = device.spec.stream.rate
-    values = sampled(step.make(), step.duration, rate)
-    before = np.concatenate(([device.spec.safe[step.signal]], values[:-1]))
-    unit = commands[step.signal].unit
+    rate, command = device.spec.stream.rate, commands[step.signal]
+    values = _values(place, timed, command, rate)
+    before = np.vstack([_safe_values(device.spec, command, values), values[:-1]])
     lowest, highest = float(values.min()), float(values.max())
     fastest = float(np.max(np.abs(values - before))) * rate
     limit = device.rig.limits.get(step.signal)
-    warnings = () if limit is None else _against(place, step.signal, unit, (lowest, highest, fastest), limit)
-    return StepPlan(timed, unit, lowest, highest, fastest, crest_factor(values), warnings)
+    reach = (lowest, highest, fastest)
+    warnings = () if limit is None else _against(place, step.signal, command.unit, reach, limit)
+    return StepPlan(timed, command.unit, *reach, spectrum_of(values, rate), warnings)
+
+
+def _values(place: str, timed: TimedStep, command: Signal, rate: float) -> FloatArray:
+    """The step's values at the device's rate, (n, columns of the command)."""
+    try:
+        excitation = timed.make()
+    except ValueError as error:
+        raise ExperimentFileError(f"{place}: {error}") from error
+    found = len(columns_of(excitation))
+    if found != command.width:
+        raise ExperimentFileError(
+            f"{place}: {command.name} has {command.width} columns, but the excitation has {found}"
+        )
+    if command.width > 1 and timed.step.stabilise is not None:
+        raise ExperimentFileError(f"{place}.stabilise: only for a plain signal, {command.name} is a vector")
+    return sampled(excitation, timed.step.duration, rate).reshape(-1, command.width)
+
+
+def _safe_values(spec: DriverSpec, command: Signal, values: FloatArray) -> FloatArray:
+    """Where the command comes from, (columns,): its safe value, or where it begins if it has none."""
+    begins = values[0].tolist()
+    return np.array(
+        [
+            spec.safe.get(column, spec.safe.get(command.name, begun))
+            for column, begun in zip(command.columns(), begins, strict=True)
+        ]
+    )
 
 
 def _against(
@@ -158,8 +188,17 @@ def _step_in_words(step: StepPlan) -> str:
     words = (
         f"{timed.start:g}–{timed.end:g} s: {asked.device}.{asked.signal} {asked.excitation}, "
         f"{step.lowest:.4g} to {step.highest:.4g} {step.unit}, up to {step.fastest:.4g} {step.unit}/s, "
-        f"crest factor {step.crest_factor:.2f}"
+        f"crest factor {step.spectrum.crest_factor:.2f}, RMS {step.spectrum.rms:.4g} {step.unit}"
     )
     if asked.stabilise is None:
         return words
     return f"{words}; kp {asked.stabilise.kp:g}, kd {asked.stabilise.kd:g} on {asked.stabilise.on}"
+
+
+def _spectrum_in_words(step: StepPlan) -> Iterator[str]:
+    spectrum = step.spectrum
+    if spectrum.occupied is None or spectrum.half_power is None:
+        return
+    low, high = spectrum.edges[0], spectrum.edges[-1]
+    yield f"90 % of its power in {spectrum.occupied}; −3 dB {spectrum.half_power}"
+    yield f"{low:.2g} Hz |{spectrum.bars()}| {high:.3g} Hz"

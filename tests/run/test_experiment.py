@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 import tomllib
 from importlib.resources import files
 from pathlib import Path
@@ -7,9 +8,12 @@ from pathlib import Path
 import pytest
 
 from labhil.errors import ExperimentFileError, RigFileError
-from labhil.experiment.experiment import load_experiment, parse_experiment
+from labhil.experiment.controller import Controller
+from labhil.experiment.excitation import sample
+from labhil.experiment.experiment import Step, TimedStep, load_experiment, parse_experiment
 from labhil.experiment.plan import make_plan
 from labhil.experiment.toml import to_toml
+from labhil.signals import Direction, Signal, Stream
 
 TEXT = """
 [experiment]
@@ -185,3 +189,82 @@ def test_the_examples_that_are_shipped_can_be_run(name: str) -> None:
     plan = make_plan(load_experiment(path))
     assert plan.duration == 60.0
     assert plan.warnings() == ()
+
+
+PRMS = """
+[[steps]]
+device = "bench"
+signal = "servo_angle"
+excitation = "prms"
+low = -0.5
+high = 0.5
+count = 9
+dwell = 0.5
+duration = 20.0
+"""
+
+
+def excitations(text: str) -> list[object]:
+    return [timed.make() for timed in parse_experiment(text, PATH).schedule()]
+
+
+def test_the_experiments_seed_begins_what_its_steps_draw() -> None:
+    text = TEXT + PRMS + PRMS + PRMS + "seed = 5\n"
+    first = excitations(text)
+    assert excitations(text) == first
+    assert len({repr(made) for made in first}) == 4
+    other = excitations(text.replace("seed = 1\n", "seed = 2\n"))
+    assert other[1:3] != first[1:3]
+    assert other[3] == first[3]
+
+
+def test_a_table_lies_beside_its_experiment(tmp_path: Path) -> None:
+    table = STEP.replace('"hold"', '"file"').replace("level = 0.0", 'path = "u.csv"')
+    (tmp_path / "u.csv").write_text("0,0\n1,0.4\n2,0\n")
+    assert "0 to 0.4 rad" in plan_of(tmp_path, TEXT + table)
+    with pytest.raises(ExperimentFileError, match=r"steps\.1: `path`: .*missing\.csv cannot be read"):
+        plan_of(tmp_path, TEXT + table.replace("u.csv", "missing.csv"))
+
+
+def test_a_plan_shows_the_spectrum(tmp_path: Path) -> None:
+    told = plan_of(tmp_path, TEXT + PRMS)
+    assert re.search(r"prms, -0.5 to 0.5 rad, .*crest factor 1\.\d\d, RMS 0\.3\d* rad", told)
+    assert "90 % of its power in 0.233–0.317 Hz; −3 dB" in told
+    assert " Hz |" in told
+    assert "█" in told
+
+
+def test_a_vector_needs_a_vector(tmp_path: Path) -> None:
+    joints = """
+[[steps]]
+device = "bench"
+signal = "servo_angle"
+excitation = "fourier"
+low = [-0.5, -0.5]
+high = 0.5
+speed = 1.0
+acceleration = 5.0
+base_frequency = 0.1
+duration = 20.0
+"""
+    with pytest.raises(ExperimentFileError, match="servo_angle has 1 columns, but the excitation has 2"):
+        plan_of(tmp_path, TEXT + joints)
+    assert "fourier" in plan_of(tmp_path, TEXT + joints.replace("[-0.5, -0.5]", "-0.5"))
+
+
+def test_a_vector_is_asked_for_column_by_column() -> None:
+    joints = Step(
+        device="arm",
+        signal="target_q",
+        excitation="fourier",
+        low=(-0.5, -0.4),
+        high=0.5,
+        speed=1.0,
+        acceleration=5.0,
+        base_frequency=0.1,
+        duration=20.0,
+    )
+    stream = Stream("state", (Signal("target_q", "rad", Direction.INPUT, width=2),), 125.0)
+    asked = Controller([TimedStep(0, joints, 1.0)], stream, {}).requested(3.0, [0.0, 0.0])
+    expected = sample(joints.make(), [2.0])[0]
+    assert asked == {"target_q_0": expected[0], "target_q_1": expected[1]}

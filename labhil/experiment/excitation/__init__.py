@@ -1,0 +1,62 @@
+"""What a rig is moved by: functions of the step's own time, by name, and what each does to a rig.
+
+No excitation is shaped behind the user's back: what stands here is what is requested, from the first
+sample to the last. A rig is kept from jumping by the rate in its limits, and that is recorded.
+
+Nothing here knows a device or a bus: :func:`sample` turns any excitation into values at given times,
+for a recording as for a simulation.
+"""
+
+from __future__ import annotations
+
+from labhil.experiment.excitation.fourier import FourierSeries, fourier, motion
+from labhil.experiment.excitation.function import (
+    Excitation,
+    Excitations,
+    columns_of,
+    crest_factor,
+    sample,
+    sampled,
+)
+from labhil.experiment.excitation.levels import Hold, Steps, hold, prms, staircase, steps
+from labhil.experiment.excitation.make import EXCITATIONS, ExcitationKeys, make_excitation
+from labhil.experiment.excitation.phases import low_crest_phases, schroeder_phases
+from labhil.experiment.excitation.shift_register import maximum_length_sequence, prbs
+from labhil.experiment.excitation.spectrum import Band, Spectrum, spectrum_of
+from labhil.experiment.excitation.table import Table, file
+from labhil.experiment.excitation.tones import Chirp, Tones, chirp, multisine, two_sine
+
+__all__ = [
+    "EXCITATIONS",
+    "Band",
+    "Chirp",
+    "Excitation",
+    "ExcitationKeys",
+    "Excitations",
+    "FourierSeries",
+    "Hold",
+    "Spectrum",
+    "Steps",
+    "Table",
+    "Tones",
+    "chirp",
+    "columns_of",
+    "crest_factor",
+    "file",
+    "fourier",
+    "hold",
+    "low_crest_phases",
+    "make_excitation",
+    "maximum_length_sequence",
+    "motion",
+    "multisine",
+    "prbs",
+    "prms",
+    "sample",
+    "sampled",
+    "schroeder_phases",
+    "spectrum_of",
+    "staircase",
+    "steps",
+    "two_sine",
+]
