@@ -16,11 +16,11 @@ from labhil.identify.fitted import (
     longest_trusted,
     settled,
     start_theta,
-    starts_with,
 )
 from labhil.identify.identifiability import Identifiability, identifiability
 from labhil.identify.intervals import Intervals
 from labhil.identify.score import Score, score
+from labhil.identify.shapes import over_shapes
 from labhil.identify.table import ParameterTable, table_of
 from labhil.identify.windows import noise_of
 from labhil.physics.model import Metric, Model, Record, terms_named
@@ -30,7 +30,7 @@ Progress = Callable[[str], None]
 
 WINDOW_IN_HORIZONS = 1.5
 LADDER = (0.125, 0.25, 0.5, 1.0)
-SETTLED = 1.15
+LONGER = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,13 +105,22 @@ def fit(
     if model.metric is Metric.INVERSE_DYNAMICS:
         rungs, lengths, sigma = _regressed(model, record, keys, begin, sigma)
     else:
-        lengths = [how.window] if how.window else [f * WINDOW_IN_HORIZONS * model.horizon for f in LADDER]
+        lengths = [how.window] if how.window else _ladder(model, record)
         rungs = _climbed(model, record, keys, lengths, sigma, begin, () if start else keys, how.progress)
     chosen = longest_trusted(rungs)
     how.progress(f"statistics and scores, intervals by {how.intervals}")
     by_window = [_window_estimate(r, length) for r, length in zip(rungs, lengths, strict=True)]
     table = table_of(rungs[chosen], how.intervals, how.simultaneous)
     return _finish(record, test, rungs, chosen, by_window, table, how)
+
+
+def _ladder(model: Model, record: Record) -> list[float]:
+    """Lengths of windows (s), short to long; to the whole record where the plant forgets how it began."""
+    lengths = [share * WINDOW_IN_HORIZONS * model.horizon for share in LADDER]
+    whole = float(record.t[-1] - record.t[0])
+    if model.forgets and whole > LONGER * lengths[-1]:
+        lengths = [*lengths[1:], float(np.sqrt(lengths[-1] * whole)), whole]
+    return lengths
 
 
 def _climbed(
@@ -127,11 +136,9 @@ def _climbed(
     """Fits on longer and longer windows, the longest trusted one settled in its lowest minimum."""
     progress(f"fitting {len(terms)} terms on windows of {', '.join(f'{x:.3g}' for x in lengths)} s")
     rungs = climb(model, record, terms, lengths, sigma, start=begin, fresh=fresh)
-    if rungs[-1].noise > SETTLED:
-        rungs[-1] = _from_other_shapes(model, record, rungs, lengths, sigma, progress)
-    progress("looking for lower minima nearby")
+    progress("looking for lower minima")
     chosen = longest_trusted(rungs)
-    rungs[chosen] = settled(rungs[chosen])
+    rungs[chosen] = settled(over_shapes(rungs[chosen]))
     return rungs
 
 
@@ -147,31 +154,6 @@ def _regressed(
         sigma = sigma * np.maximum(spread, 1e-6)
         fitted = fit_terms(model, record, terms, length, sigma, start=fitted.theta, new_terms=())
     return [fitted], [length], sigma
-
-
-def _from_other_shapes(
-    model: Model,
-    record: Record,
-    rungs: Sequence[Fitted],
-    lengths: Sequence[float],
-    sigma: FloatArray,
-    progress: Progress,
-) -> Fitted:
-    """Begin the last rungs anew from other starts of terms that have a shape, and keep the best.
-
-    A width such as the Stribeck velocity has local minima: too narrow to be seen, or so wide that it
-    passes for viscous friction.
-    """
-    best = rungs[-1]
-    shaped = [t for t in best.terms if any(p.shape for p in model.terms[t].parameters)]
-    for theta in starts_with(model, record, best.theta, shaped) if shaped else []:
-        progress(f"another start for {', '.join(shaped)}")
-        trial, begin = best, theta
-        for length in lengths[-2:]:
-            trial = fit_terms(model, record, best.terms, length, sigma, start=begin, new_terms=())
-            begin = trial.theta
-        best = trial if trial.solution.cost < best.solution.cost else best
-    return best
 
 
 def _window_estimate(fitted: Fitted, length: float) -> WindowEstimate:

@@ -51,10 +51,13 @@ def identifiability(
     singular, rows = _relative_svd(parameters, values, jacobian)
     weak = noise / np.maximum(singular, 1e-300) > WEAK
     names = [p.key for p in parameters]
+    # from steps in scales to steps in logarithms; what is zero has none
+    scale, size = _scale(parameters, values), np.abs(values)
+    logarithmic = np.divide(scale, size, out=np.zeros_like(scale), where=size > 0.0)
     return Identifiability(
         rank=int(np.sum(~weak)),
         of=len(values),
-        combinations=invariants(names, rows[weak]) if np.any(weak) else (),
+        combinations=invariants(names, rows[weak] * logarithmic) if np.any(weak) else (),
         would_help=(),
         singular_values=tuple(float(s) for s in singular),
     )
@@ -88,9 +91,12 @@ def what_would_help(
 def _relative_svd(
     parameters: Sequence[Parameter], values: FloatArray, jacobian: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    scale = np.array([max(abs(v), p.scale) for v, p in zip(values, parameters, strict=True)])
-    _, singular, rows = np.linalg.svd(jacobian * scale, full_matrices=False)
+    _, singular, rows = np.linalg.svd(jacobian * _scale(parameters, values), full_matrices=False)
     return singular, rows
+
+
+def _scale(parameters: Sequence[Parameter], values: FloatArray) -> FloatArray:
+    return np.array([max(abs(v), p.scale) for v, p in zip(values, parameters, strict=True)])
 
 
 def invariants(names: Sequence[str], directions: FloatArray) -> tuple[str, ...]:
@@ -101,6 +107,7 @@ def invariants(names: Sequence[str], directions: FloatArray) -> tuple[str, ...]:
     >>> invariants(["a", "b", "c"], np.array([[0.7, 0.7, 0.0]]))
     ('a/b',)
     """
+    directions = directions / np.maximum(np.abs(directions).max(axis=1, keepdims=True), 1e-300)
     involved = [i for i in range(len(names)) if np.any(np.abs(directions[:, i]) > INVOLVED)]
     moving = directions[:, involved]
     free = _pivots(moving)
@@ -110,18 +117,17 @@ def invariants(names: Sequence[str], directions: FloatArray) -> tuple[str, ...]:
         # log x_j − Σ w·log x_free is constant along every direction
         weights = np.linalg.solve(moving[:, free].T @ moving[:, free], moving[:, free].T @ moving[:, j])
         powers = {names[involved[j]]: 1.0}
-        powers |= {names[involved[f]]: -w for f, w in zip(free, weights, strict=True)}
+        powers = {names[involved[f]]: -float(w) for f, w in zip(free, weights, strict=True)} | powers
         texts.append(_product(powers))
     return tuple(texts)
 
 
 def _pivots(directions: FloatArray) -> list[int]:
-    """Columns (as many as rows) that together move in all directions, strongest first, the last of equals."""
+    """Columns (as many as rows) that together move in all directions: the strongest, the first of equals."""
     left = directions.copy()
     chosen: list[int] = []
     for _ in range(len(directions)):
-        norms = np.round(np.linalg.norm(left, axis=0), 3)
-        best = len(norms) - 1 - int(np.argmax(norms[::-1]))
+        best = int(np.argmax(np.round(np.linalg.norm(left, axis=0), 2)))
         column = left[:, best] / max(float(np.linalg.norm(left[:, best])), 1e-300)
         left = left - np.outer(column, column @ left)
         chosen.append(best)
@@ -129,6 +135,9 @@ def _pivots(directions: FloatArray) -> list[int]:
 
 
 def _product(powers: Mapping[str, float]) -> str:
+    """As people write it, the first name above the line."""
+    if next((p for p in powers.values() if abs(p) > INVOLVED), 1.0) < 0.0:
+        powers = {name: -p for name, p in powers.items()}
     above = [_power(name, p) for name, p in powers.items() if p > INVOLVED]
     below = [_power(name, -p) for name, p in powers.items() if p < -INVOLVED]
     return "·".join(above) + "".join(f"/{text}" for text in below)

@@ -104,6 +104,7 @@ class BallBeamModel:
     state_names = ("ball_position", "ball_velocity")
     state_scale = np.array([0.01, 0.05])
     metric = Metric.WINDOWED_SIMULATION
+    forgets = False
     never_seen: Mapping[str, str] = {
         "sensor_offset": "a constant offset of position is taken up by each window's own initial state"
     }

@@ -194,6 +194,7 @@ class DcMotorModel:
 
     kind = "dc_motor"
     metric = Metric.WINDOWED_SIMULATION
+    forgets = True
     state_names = ("shaft_velocity", "current")
 
     def __init__(self, rig: RigFile, record: Record | None = None) -> None:

@@ -39,7 +39,7 @@ NAMES = {
 """Parameters of the places, all but the Stribeck velocity in units of force."""
 
 NARROW = 30.0
-SHORTEST_STEP = 1e-5
+SHORTEST_STEP = 2e-4
 
 
 @compiled

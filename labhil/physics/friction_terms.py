@@ -69,7 +69,7 @@ def friction_terms(force: str, length: str, level: float, speed: float) -> tuple
                     "stribeck_friction.velocity",
                     velocity,
                     0.1 * speed,
-                    5e-3 * speed,
+                    5e-4 * speed,
                     3.0 * speed,
                     starts=(0.2, 0.05, 0.8),
                     of=Yardstick.SPEED,

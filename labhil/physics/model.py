@@ -140,6 +140,11 @@ class Model(Protocol):
         ...
 
     @property
+    def forgets(self) -> bool:
+        """Whether its state forgets how it began: windows may then be as long as the recording."""
+        ...
+
+    @property
     def horizon(self) -> float:
         """Scored horizon of the windowed simulation (s) before anything is fitted, to cut windows by."""
         ...

@@ -34,7 +34,8 @@ class RightHandSide:
     ``guess(t, y)`` gives the state (states,) at the first of some samples ``y`` (n, channels) at ``t`` (n,).
     ``states`` maps their names to typical errors of a guess; names that end in ``_velocity`` are zero at
     rest. ``parameters`` are the rig's own, ``terms`` what may be added, neutral at zero. Between samples
-    the equation is stepped ``substeps`` times (classical Runge-Kutta), so f should be smooth there.
+    the equation is stepped ``substeps`` times (classical Runge-Kutta), so f should be
+    smooth there. ``forgets`` says that the state forgets how it began.
     """
 
     states: Mapping[str, float]
@@ -47,6 +48,7 @@ class RightHandSide:
     baseline: tuple[str, ...] = ()
     general: tuple[str, ...] = ()
     substeps: int = 1
+    forgets: bool = False
     never_seen: Mapping[str, str] = field(default_factory=dict)
 
     def __call__(self, rig: RigFile, record: Record | None = None) -> RightHandSideModel:
@@ -61,6 +63,7 @@ class RightHandSideModel:
 
     def __init__(self, stated: RightHandSide, rig: RigFile) -> None:
         self.stated = stated
+        self.forgets = stated.forgets
         self.kind = rig.kind.name
         self.state_names = tuple(stated.states)
         self.state_scale = np.array(list(stated.states.values()))

@@ -16,10 +16,14 @@ from labhil.compiled import compiled
 from labhil.physics.friction import friction, hold, longest_step
 from labhil.signals import FloatArray, IntArray
 
-QUASI_STATIC = 2e-4
+QUASI_STATIC = 4e-4
 """Electrical time constant (s) under which the current follows at once."""
 
 SHARE_OF_WINDING = 0.15
+COARSEST_SHARE = 0.6
+COARSE_STEP = 2e-3
+"""A step may be this long (s) where that is at most ``COARSEST_SHARE`` of the electrical time constant."""
+
 LONGEST_STEP = 0.02
 
 
@@ -186,7 +190,10 @@ def advance(
     """Let h s pass, through all stops and starts; changes ``state`` (ω, i, angle), returns the new side."""
     t = 0.0
     electrical = m.inductance / m.resistance
-    longest = LONGEST_STEP if electrical <= QUASI_STATIC else min(LONGEST_STEP, SHARE_OF_WINDING * electrical)
+    longest = LONGEST_STEP
+    if electrical > QUASI_STATIC:
+        coarse = min(COARSEST_SHARE * electrical, COARSE_STEP)
+        longest = min(LONGEST_STEP, max(SHARE_OF_WINDING * electrical, coarse))
     while t < h - 1e-13:
         now = u + t * rise
         w, i, angle = state[0], state[1], state[2]
