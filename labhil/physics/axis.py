@@ -1,0 +1,274 @@
+"""A driven axis as it is fitted: M·ẍ = F − friction + F₀ − spring, F given or drive_gain·voltage.
+
+The benchmark EMPS (Janot, Gautier, Brunot 2019) is one. Without [known] moving_mass the mass is estimated;
+with a voltage and without [known] drive_gain the mass must be known, or only ratios are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from labhil.physics import friction, sliding
+from labhil.physics.driven import DrivenPath, lagged
+from labhil.physics.friction_terms import friction_terms
+from labhil.physics.model import Metric, Record, Windows, index_of
+from labhil.physics.path_terms import input_terms, output_terms
+from labhil.physics.terms import Enters, Parameter, Term, Yardstick
+from labhil.rig import RigFile
+from labhil.signals import FloatArray
+
+TIME_CONSTANTS = 3.0
+STATE_SPAN = 0.05
+"""Seconds over which the first position and velocity of a window are guessed."""
+
+
+class Sizes:
+    """What a recording says of the axis before anything is fitted (SI).
+
+    Position is regressed on the double integral of the input and the integral of position (viscous
+    friction): no derivative of a noisy signal is needed.
+    """
+
+    def __init__(self, record: Record | None, gain: float) -> None:
+        self.force, self.speed, self.span, self.mass, self.time_constant = 100.0, 0.1, 0.2, 100.0, 0.5
+        if record is None:
+            return
+        u, x, t = gain * record.inputs[:, 0], record.outputs[:, 0], record.t
+        self.force = float(np.sqrt(np.mean(u**2))) or 1.0
+        self.span = float(np.ptp(x)) or 1.0
+        stride = max(1, int(0.05 / record.period))
+        slow = x[::stride]
+        self.speed = float(np.sqrt(np.mean((np.diff(slow) / np.diff(t[::stride])) ** 2))) or 1.0
+        once, twice = _integral(t, u), _integral(t, _integral(t, u))
+        side = _integral(t, _integral(t, np.sign(np.gradient(_smooth(x, stride), t))))
+        design = np.column_stack([twice, _integral(t, x - x[0]), side, t, t**2, np.ones(len(t))])
+        by_force, by_drag, *_ = np.linalg.lstsq(design / _norms(design), x, rcond=None)[0] / _norms(design)
+        self.mass = 1.0 / by_force if by_force > 0 else self.force / max(float(np.std(once)), 1e-12)
+        self.time_constant = float(np.clip(-1.0 / by_drag, 0.01, 10.0)) if by_drag < 0 else 0.5
+
+    @property
+    def drag(self) -> float:
+        """Viscous friction that has the time constant, N·s/m."""
+        return self.mass / self.time_constant
+
+
+def _integral(t: FloatArray, x: FloatArray) -> FloatArray:
+    return np.r_[0.0, np.cumsum(np.diff(t) * 0.5 * (x[1:] + x[:-1]))]
+
+
+def _norms(design: FloatArray) -> FloatArray:
+    return np.maximum(np.linalg.norm(design, axis=0), 1e-300)
+
+
+def _smooth(x: FloatArray, width: int) -> FloatArray:
+    kernel = np.ones(2 * width + 1) / (2 * width + 1)
+    return np.asarray(np.convolve(np.pad(x, width, mode="edge"), kernel, mode="valid"))
+
+
+def catalogue(s: Sizes) -> dict[str, Term]:
+    """All terms, their scales of the axis' size."""
+    level = 0.1 * s.force
+    loads = (
+        Term(
+            "constant_force", Enters.FORCE, "a constant push (tilt, offset of the drive)", "F = F_0",
+            "standard", "motion both ways", (Parameter("constant_force.force", "N", level),),
+        ),
+        Term(
+            "spring_force", Enters.FORCE, "a pull back towards zero in proportion to position", "F = −k·x",
+            "Hooke", "motion over the whole range",
+            (Parameter("spring_force.stiffness", "N/m", level / s.span),),
+        ),
+        Term(
+            "spring_hardening", Enters.FORCE, "a pull back towards zero that stiffens with position",
+            "F = −k₃·x³", "Duffing", "motion over the whole range",
+            (Parameter("spring_hardening.coefficient", "N/m³", level / s.span**3),),
+        ),
+        Term(
+            "cogging_torque", Enters.FORCE, "a force that repeats along the way (magnets, a screw's pitch)",
+            "F = −a·sin kx − b·cos kx", "period of the drive", "slow motion",
+            (
+                Parameter("cogging_torque.sine", "N", level, starts=(0.3 * level,)),
+                Parameter("cogging_torque.cosine", "N", level, starts=(0.3 * level,)),
+                Parameter(
+                    "cogging_torque.order", "rad/m", 20.0 / s.span, 2.0 / s.span, 2e3 / s.span,
+                    starts=(20.0 / s.span, 60.0 / s.span, 200.0 / s.span), shape=True,
+                ),
+            ),
+        ),
+        Term(
+            "added_inertia", Enters.FORCE, "more mass than is known (a load)", "(M + m)·ẍ = …",
+            "standard", "acceleration",
+            (Parameter("added_inertia.mass", "kg", 0.1 * s.mass, -0.5 * s.mass),),
+        ),
+        Term(
+            "temperature_dependent_friction", Enters.FORCE, "viscous friction that falls as the axis warms",
+            "c(T) = c·exp(−α·(T − T_0)), T_0 the first sample's", "viscosity of grease",
+            "long runs that warm the axis",
+            (Parameter("temperature_dependent_friction.rate", "1/K", 0.02, -0.2, 0.2),),
+            needs=("temperature",),
+        ),
+    )  # fmt: skip
+    terms = friction_terms("N", "m", level, s.speed) + loads + input_terms("N")
+    terms += output_terms("position", "m", s.span)
+    return {term.key: term for term in terms}
+
+
+class AxisModel:
+    """The white-box model of one axis (satisfies ``physics.model.Model``).
+
+    Driven by ``drive_force``, or by ``drive_voltage`` times drive_gain; simulates ``position``.
+    """
+
+    kind = "axis"
+    metric = Metric.WINDOWED_SIMULATION
+    forgets = False
+    state_names = ("position", "axis_velocity")
+
+    def __init__(self, rig: RigFile, record: Record | None = None) -> None:
+        self.volts = record is not None and record.input_names[0] == "drive_voltage"
+        self.fixed = {n: v for n in rig.kind.known if (v := rig.known_number(n)) is not None}
+        self.sizes = Sizes(record, self.fixed.get("drive_gain", 1.0) if self.volts else 1.0)
+        there = set(record.auxiliary) if record is not None else {"temperature"}
+        everything = catalogue(self.sizes)
+        self.terms: Mapping[str, Term] = {
+            k: t
+            for k, t in everything.items()
+            if set(t.needs) <= there and (k != "added_inertia" or "moving_mass" in self.fixed)
+        }
+        self.never_seen: Mapping[str, str] = {
+            "sensor_offset": "a constant offset of position is taken up by each window's own initial state"
+        } | {k: f"needs {', '.join(t.needs)}" for k, t in everything.items() if not set(t.needs) <= there}
+        own = {"moving_mass": ("kg", self.sizes.mass)}
+        if self.volts and "drive_gain" not in self.fixed:
+            own["drive_gain"] = ("N/V", 1.0)
+        self.parameters = tuple(
+            Parameter(n, unit, size, 1e-3 * size, 1e3 * size, starts=(size,))
+            for n, (unit, size) in own.items()
+            if n not in self.fixed
+        ) + tuple(p for term in self.terms.values() for p in term.parameters)
+        self.state_scale = np.array([0.02 * self.sizes.span, 0.1 * self.sizes.speed])
+        self._index = index_of(self.parameters)
+        self._stated = rig.metric.horizon
+        self.horizon = self._stated or TIME_CONSTANTS * self.sizes.time_constant
+        self._path = DrivenPath()
+
+    def horizon_at(self, theta: FloatArray) -> float:
+        """Three times mass over viscous friction, s."""
+        drag = self._value(theta, "viscous_friction.coefficient")
+        if self._stated or drag <= 0.0:
+            return self._stated or self.horizon
+        return TIME_CONSTANTS * self._mass(theta) / drag
+
+    def prepare(self, record: Record) -> Record:
+        """The record itself."""
+        return record
+
+    def initial_states(self, record: Record, windows: Windows) -> FloatArray:
+        """Position and slope of a straight line through the first samples of each window."""
+        states = np.empty((len(windows), 2))
+        count = max(4, int(STATE_SPAN / record.period))
+        for w, (first, last) in enumerate(zip(windows.first, windows.last, strict=True)):
+            stop = min(first + count, last)
+            t = record.t[first:stop] - record.t[first]
+            slope, start = np.polyfit(t, record.outputs[first:stop, 0], 1) if stop - first > 1 else (0.0, 0.0)
+            states[w] = start, slope
+        return states
+
+    def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
+        """Measured position in m, (N, 1)."""
+        x = self._trajectory(theta, record, windows, states)[:, 0]
+        return self._sensor(theta, record, windows, x)[:, None]
+
+    def coordinates(
+        self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
+    ) -> Mapping[str, FloatArray]:
+        """Position, velocity and input along the simulation."""
+        motion = self._trajectory(theta, record, windows, states)
+        return {
+            "position": motion[:, 0],
+            "axis_velocity": motion[:, 1],
+            record.input_names[0]: record.inputs[windows.rows, 0],
+        }
+
+    def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
+        """Force on the moving mass at these coordinates, N; zero where it rests."""
+        x, v = coordinates["position"], coordinates["axis_velocity"]
+        u = next(values for name, values in coordinates.items() if name.startswith("drive_"))
+        part, law = self._part(theta), self._law(theta)
+        table = self._table(theta)
+        force = [
+            sliding.pull_of(float(a), float(b), table, part) - friction.friction(b, c, float(np.sign(c)), law)
+            for a, b, c in zip(u, x, v, strict=True)
+        ]
+        return np.where(v == 0.0, 0.0, self._mass(theta) * np.array(force))
+
+    def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
+        """What starts are fractions of, from this recording."""
+        u = record.inputs[:, 0]
+        steps = np.abs(np.diff(u)) / np.diff(record.t)
+        return {
+            Yardstick.UNIT: 1.0,
+            Yardstick.INPUT: float(np.abs(u).max()) or 1.0,
+            Yardstick.INPUT_RATE: float(np.quantile(steps, 0.98)) or 1.0,
+            Yardstick.DRIVE: self.sizes.force,
+            Yardstick.SPEED: self.sizes.speed,
+        }
+
+    def _value(self, theta: FloatArray, name: str) -> float:
+        if name in self.fixed:
+            return self.fixed[name]
+        return float(theta[self._index[name]]) if name in self._index else 0.0
+
+    def _mass(self, theta: FloatArray) -> float:
+        return self._value(theta, "moving_mass") + self._value(theta, "added_inertia.mass")
+
+    def _law(self, theta: FloatArray) -> FloatArray:
+        law = np.zeros(friction.SIZE)
+        for place, name in friction.NAMES.items():
+            law[place] = self._value(theta, name) / self._mass(theta)
+        law[friction.STRIBECK_VELOCITY] = self._value(theta, "stribeck_friction.velocity")
+        return law
+
+    def _part(self, theta: FloatArray) -> sliding.Part:
+        mass = self._mass(theta)
+        return sliding.Part(
+            force=self._value(theta, "constant_force.force") / mass,
+            spring=self._value(theta, "spring_force.stiffness") / mass,
+            hardening=self._value(theta, "spring_hardening.coefficient") / mass,
+            cogging_sine=self._value(theta, "cogging_torque.sine") / mass,
+            cogging_cosine=self._value(theta, "cogging_torque.cosine") / mass,
+            cogging_order=self._value(theta, "cogging_torque.order"),
+            low=-np.inf,
+            high=np.inf,
+            restitution=0.0,
+        )
+
+    def _table(self, theta: FloatArray) -> FloatArray:
+        table = np.zeros((sliding.POWERS, sliding.POWERS))
+        table[1, 0] = (self._value(theta, "drive_gain") if self.volts else 1.0) / self._mass(theta)
+        return table
+
+    def _trajectory(
+        self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
+    ) -> FloatArray:
+        """x and v of all windows, (N, 2)."""
+        nodes, values = self._path.nodes(record, 0, lambda name: self._value(theta, name))
+        change = np.ones(len(record))
+        if rate := self._value(theta, "temperature_dependent_friction.rate"):
+            warmth = record.auxiliary["temperature"]
+            change = np.exp(-rate * (warmth - warmth[0]))
+        out = np.empty((len(windows.rows), 2))
+        sliding.simulate(
+            record.t, nodes, values, windows.first, windows.last, states, self._table(theta),
+            self._part(theta), self._law(theta), change, out,
+        )  # fmt: skip
+        return out
+
+    def _sensor(self, theta: FloatArray, record: Record, windows: Windows, x: FloatArray) -> FloatArray:
+        cubic, gain = self._value(theta, "sensor_nonlinearity.cubic"), self._value(theta, "sensor_gain.gain")
+        x = x + cubic * x * x * x if cubic else x
+        x = x * (1.0 + gain) if gain else x
+        time_constant = self._value(theta, "sensor_lag.time_constant")
+        return lagged(record, windows, x, time_constant) if time_constant else x
