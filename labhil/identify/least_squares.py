@@ -33,7 +33,7 @@ SHAKES = 4
 """Times that a settled fit is pushed away, by about its own uncertainty, to see where it comes back to."""
 
 SAME = 0.3
-"""Costs (squares of units of noise) that differ by less are the same minimum."""
+"""Costs that differ by less, in mean squared residuals (at least in squares of noise), are one minimum."""
 
 WORTH = 0.5
 """A step that lowers the cost by less than this share of what it promised is polished."""
@@ -109,24 +109,25 @@ def settle(problem: Problem, solution: Solution, spread: FloatArray, *, seed: in
     ``spread`` (P, P) span, in scaled units. ``seed`` fixes the draws.
     """
     random = np.random.default_rng(seed)
-    best = _deepened(problem, solution, random)
+    same = SAME * max(1.0, solution.cost / max(len(solution.residuals), 1))
+    best = _deepened(problem, solution, same, random)
     for _ in range(SHAKES):
         z = best.point.z + spread @ random.standard_normal(len(best.point.z))
         begin = Point(np.clip(z, problem.lower, problem.upper), best.point.states)
         trial = least_squares(problem, begin, iterations=12, settled=True, thorough=False)
-        if trial.cost < best.cost - SAME:
-            best = _deepened(problem, trial, random)
+        if trial.cost < best.cost - same:
+            best = _deepened(problem, trial, same, random)
     return best
 
 
-def _deepened(problem: Problem, solution: Solution, random: np.random.Generator) -> Solution:
+def _deepened(problem: Problem, solution: Solution, same: float, random: np.random.Generator) -> Solution:
     """Better states and better parameters in turn, until neither lowers the cost any more."""
     best = solution
     for _ in range(6):
         states = search_states(problem, best.point.z, best.point.states, random)
         begin = Point(best.point.z, states)
         trial = least_squares(problem, begin, iterations=20, settled=True, thorough=False)
-        if trial.cost > best.cost - SAME:
+        if trial.cost > best.cost - same:
             return trial if trial.cost < best.cost else best
         best = trial
     return best

@@ -11,11 +11,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from labhil.physics import friction, sliding
-from labhil.physics.driven import DrivenPath, lagged
+from labhil.physics.driven import DrivenPath
 from labhil.physics.friction_terms import friction_terms
-from labhil.physics.model import Metric, Record, Windows, index_of
+from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.path_terms import input_terms, output_terms
 from labhil.physics.terms import Enters, Parameter, Term, Yardstick
+from labhil.physics.values import Values, known_numbers
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
 
@@ -128,7 +129,7 @@ class AxisModel:
 
     def __init__(self, rig: RigFile, record: Record | None = None) -> None:
         self.volts = record is not None and record.input_names[0] == "drive_voltage"
-        self.fixed = {n: v for n in rig.kind.known if (v := rig.known_number(n)) is not None}
+        self.fixed = known_numbers(rig)
         self.sizes = Sizes(record, self.fixed.get("drive_gain", 1.0) if self.volts else 1.0)
         there = set(record.auxiliary) if record is not None else {"temperature"}
         everything = catalogue(self.sizes)
@@ -149,14 +150,14 @@ class AxisModel:
             if n not in self.fixed
         ) + tuple(p for term in self.terms.values() for p in term.parameters)
         self.state_scale = np.array([0.02 * self.sizes.span, 0.1 * self.sizes.speed])
-        self._index = index_of(self.parameters)
+        self._values = Values(self.fixed, self.parameters)
         self._stated = rig.metric.horizon
         self.horizon = self._stated or TIME_CONSTANTS * self.sizes.time_constant
         self._path = DrivenPath()
 
     def horizon_at(self, theta: FloatArray) -> float:
         """Three times mass over viscous friction, s."""
-        drag = self._value(theta, "viscous_friction.coefficient")
+        drag = self._values.of(theta, "viscous_friction.coefficient")
         if self._stated or drag <= 0.0:
             return self._stated or self.horizon
         return TIME_CONSTANTS * self._mass(theta) / drag
@@ -179,7 +180,7 @@ class AxisModel:
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
         """Measured position in m, (N, 1)."""
         x = self._trajectory(theta, record, windows, states)[:, 0]
-        return self._sensor(theta, record, windows, x)[:, None]
+        return self._values.sensed(theta, record, windows, x)[:, None]
 
     def coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
@@ -196,7 +197,7 @@ class AxisModel:
         """Force on the moving mass at these coordinates, N; zero where it rests."""
         x, v = coordinates["position"], coordinates["axis_velocity"]
         u = next(values for name, values in coordinates.items() if name.startswith("drive_"))
-        part, law = self._part(theta), self._law(theta)
+        part, law = self._part(theta), self._values.friction_law(theta, self._mass(theta))
         table = self._table(theta)
         force = [
             sliding.pull_of(float(a), float(b), table, part) - friction.friction(b, c, float(np.sign(c)), law)
@@ -216,30 +217,18 @@ class AxisModel:
             Yardstick.SPEED: self.sizes.speed,
         }
 
-    def _value(self, theta: FloatArray, name: str) -> float:
-        if name in self.fixed:
-            return self.fixed[name]
-        return float(theta[self._index[name]]) if name in self._index else 0.0
-
     def _mass(self, theta: FloatArray) -> float:
-        return self._value(theta, "moving_mass") + self._value(theta, "added_inertia.mass")
-
-    def _law(self, theta: FloatArray) -> FloatArray:
-        law = np.zeros(friction.SIZE)
-        for place, name in friction.NAMES.items():
-            law[place] = self._value(theta, name) / self._mass(theta)
-        law[friction.STRIBECK_VELOCITY] = self._value(theta, "stribeck_friction.velocity")
-        return law
+        return self._values.of(theta, "moving_mass") + self._values.of(theta, "added_inertia.mass")
 
     def _part(self, theta: FloatArray) -> sliding.Part:
         mass = self._mass(theta)
         return sliding.Part(
-            force=self._value(theta, "constant_force.force") / mass,
-            spring=self._value(theta, "spring_force.stiffness") / mass,
-            hardening=self._value(theta, "spring_hardening.coefficient") / mass,
-            cogging_sine=self._value(theta, "cogging_torque.sine") / mass,
-            cogging_cosine=self._value(theta, "cogging_torque.cosine") / mass,
-            cogging_order=self._value(theta, "cogging_torque.order"),
+            force=self._values.of(theta, "constant_force.force") / mass,
+            spring=self._values.of(theta, "spring_force.stiffness") / mass,
+            hardening=self._values.of(theta, "spring_hardening.coefficient") / mass,
+            cogging_sine=self._values.of(theta, "cogging_torque.sine") / mass,
+            cogging_cosine=self._values.of(theta, "cogging_torque.cosine") / mass,
+            cogging_order=self._values.of(theta, "cogging_torque.order"),
             low=-np.inf,
             high=np.inf,
             restitution=0.0,
@@ -247,28 +236,21 @@ class AxisModel:
 
     def _table(self, theta: FloatArray) -> FloatArray:
         table = np.zeros((sliding.POWERS, sliding.POWERS))
-        table[1, 0] = (self._value(theta, "drive_gain") if self.volts else 1.0) / self._mass(theta)
+        table[1, 0] = (self._values.of(theta, "drive_gain") if self.volts else 1.0) / self._mass(theta)
         return table
 
     def _trajectory(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
     ) -> FloatArray:
         """x and v of all windows, (N, 2)."""
-        nodes, values = self._path.nodes(record, 0, lambda name: self._value(theta, name))
+        nodes, values = self._path.nodes(record, 0, lambda name: self._values.of(theta, name))
         change = np.ones(len(record))
-        if rate := self._value(theta, "temperature_dependent_friction.rate"):
+        if rate := self._values.of(theta, "temperature_dependent_friction.rate"):
             warmth = record.auxiliary["temperature"]
             change = np.exp(-rate * (warmth - warmth[0]))
         out = np.empty((len(windows.rows), 2))
         sliding.simulate(
             record.t, nodes, values, windows.first, windows.last, states, self._table(theta),
-            self._part(theta), self._law(theta), change, out,
+            self._part(theta), self._values.friction_law(theta, self._mass(theta)), change, out,
         )  # fmt: skip
         return out
-
-    def _sensor(self, theta: FloatArray, record: Record, windows: Windows, x: FloatArray) -> FloatArray:
-        cubic, gain = self._value(theta, "sensor_nonlinearity.cubic"), self._value(theta, "sensor_gain.gain")
-        x = x + cubic * x * x * x if cubic else x
-        x = x * (1.0 + gain) if gain else x
-        time_constant = self._value(theta, "sensor_lag.time_constant")
-        return lagged(record, windows, x, time_constant) if time_constant else x

@@ -11,11 +11,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from labhil.physics import friction, winding
-from labhil.physics.driven import DrivenPath, lagged
+from labhil.physics.driven import DrivenPath
 from labhil.physics.friction_terms import friction_terms
-from labhil.physics.model import Metric, Record, Windows, index_of
+from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.path_terms import input_terms, output_terms
 from labhil.physics.terms import Enters, Parameter, Term, Yardstick
+from labhil.physics.values import Values, known_numbers
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
 
@@ -206,11 +207,11 @@ class DcMotorModel:
         self.never_seen: Mapping[str, str] = {
             k: f"needs {', '.join(t.needs)}" for k, t in everything.items() if k not in self.terms
         }
-        self.fixed = {n: v for n in rig.kind.known if (v := rig.known_number(n)) is not None}
+        self.fixed = known_numbers(rig)
         own = tuple(p for n, p in own_parameters(self.sizes).items() if n not in self.fixed)
         self.parameters = own + tuple(p for term in self.terms.values() for p in term.parameters)
         self.state_scale = np.array([0.05 * self.sizes.speed, 0.1 * self.sizes.current])
-        self._index = index_of(self.parameters)
+        self._values = Values(self.fixed, self.parameters)
         self._stated = rig.metric.horizon
         self.horizon = self._stated or TIME_CONSTANTS * self.sizes.time_constant
         self._path = DrivenPath()
@@ -219,7 +220,7 @@ class DcMotorModel:
         """Three mechanical time constants J/(c + K²/R), s."""
         if self._stated:
             return self._stated
-        value = self._value
+        value = self._values.of
         damping = value(theta, "viscous_friction.coefficient")
         damping += value(theta, "torque_constant") ** 2 / value(theta, "resistance")
         return TIME_CONSTANTS * value(theta, "inertia") / damping
@@ -250,7 +251,10 @@ class DcMotorModel:
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
         """Speed in rad/s and current in A, those that the record has, (N, channels)."""
         motion = self._trajectory(theta, record, windows, states)
-        columns = {"speed": self._sensor(theta, record, windows, motion[:, 0]), "current": motion[:, 1]}
+        columns = {
+            "speed": self._values.sensed(theta, record, windows, motion[:, 0]),
+            "current": motion[:, 1],
+        }
         return np.column_stack([columns[name] for name in self.outputs])
 
     def coordinates(
@@ -269,10 +273,11 @@ class DcMotorModel:
     def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """Torque on the rotor at these coordinates, N·m; zero where it rests."""
         w, i = coordinates["shaft_velocity"], coordinates["current"]
-        law, inertia = self._law(theta), self._value(theta, "inertia")
+        inertia = self._values.of(theta, "inertia")
+        law = self._values.friction_law(theta, inertia)
         drag = np.array([friction.friction(0.0, float(v), float(np.sign(v)), law) for v in w])
-        torque = self._value(theta, "torque_constant") * i - inertia * drag
-        return np.where(w == 0.0, 0.0, torque - self._value(theta, "constant_force.force"))
+        torque = self._values.of(theta, "torque_constant") * i - inertia * drag
+        return np.where(w == 0.0, 0.0, torque - self._values.of(theta, "constant_force.force"))
 
     def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
         """What starts are fractions of, from this recording."""
@@ -286,41 +291,28 @@ class DcMotorModel:
             Yardstick.SPEED: self.sizes.speed,
         }
 
-    def _value(self, theta: FloatArray, name: str) -> float:
-        if name in self.fixed:
-            return self.fixed[name]
-        return float(theta[self._index[name]]) if name in self._index else 0.0
-
-    def _law(self, theta: FloatArray) -> FloatArray:
-        law = np.zeros(friction.SIZE)
-        inertia = self._value(theta, "inertia")
-        for place, name in friction.NAMES.items():
-            law[place] = self._value(theta, name) / inertia
-        law[friction.STRIBECK_VELOCITY] = self._value(theta, "stribeck_friction.velocity")
-        return law
-
     def _motor(self, theta: FloatArray) -> winding.Motor:
-        inertia = self._value(theta, "inertia")
+        inertia = self._values.of(theta, "inertia")
         return winding.Motor(
             inertia=inertia,
-            constant=self._value(theta, "torque_constant"),
-            resistance=self._value(theta, "resistance"),
-            inductance=self._value(theta, "inductance"),
-            brush_drop=self._value(theta, "brush_drop.voltage"),
+            constant=self._values.of(theta, "torque_constant"),
+            resistance=self._values.of(theta, "resistance"),
+            inductance=self._values.of(theta, "inductance"),
+            brush_drop=self._values.of(theta, "brush_drop.voltage"),
             brush_width=BRUSH_WIDTH * self.sizes.current,
-            load=self._value(theta, "constant_force.force") / inertia,
-            spring=self._value(theta, "spring_force.stiffness") / inertia,
-            cogging_sine=self._value(theta, "cogging_torque.sine") / inertia,
-            cogging_cosine=self._value(theta, "cogging_torque.cosine") / inertia,
-            cogging_order=self._value(theta, "cogging_torque.order"),
+            load=self._values.of(theta, "constant_force.force") / inertia,
+            spring=self._values.of(theta, "spring_force.stiffness") / inertia,
+            cogging_sine=self._values.of(theta, "cogging_torque.sine") / inertia,
+            cogging_cosine=self._values.of(theta, "cogging_torque.cosine") / inertia,
+            cogging_order=self._values.of(theta, "cogging_torque.order"),
         )
 
     def _trajectory(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
     ) -> FloatArray:
         """ω, i and angle of all windows, (N, 3)."""
-        node_t, voltage = self._path.nodes(record, 0, lambda name: self._value(theta, name))
-        sag = self._value(theta, "supply_sag.coefficient")
+        node_t, voltage = self._path.nodes(record, 0, lambda name: self._values.of(theta, name))
+        sag = self._values.of(theta, "supply_sag.coefficient")
         gain = 1.0 - sag * np.abs(record.inputs[:, 0])
         begun = np.zeros((len(windows), 3))
         begun[:, :2] = states
@@ -329,27 +321,21 @@ class DcMotorModel:
         out = np.empty((len(windows.rows), 3))
         winding.simulate(
             record.t, node_t, voltage, gain, windows.first, windows.last, begun, self._motor(theta),
-            self._law(theta), self._warm(theta, record), self._viscous_change(theta, record), out,
+            
+            self._values.friction_law(theta, self._values.of(theta, "inertia")), self._warm(theta, record), self._viscous_change(theta, record), out,
         )  # fmt: skip
         return out
 
     def _warm(self, theta: FloatArray, record: Record) -> FloatArray:
-        coefficient = self._value(theta, "thermal_resistance.coefficient")
+        coefficient = self._values.of(theta, "thermal_resistance.coefficient")
         if not coefficient:
             return np.ones(len(record))
         warmth = record.auxiliary["winding_temperature"]
         return np.asarray(1.0 + coefficient * (warmth - warmth[0]))
 
     def _viscous_change(self, theta: FloatArray, record: Record) -> FloatArray:
-        rate = self._value(theta, "temperature_dependent_friction.rate")
+        rate = self._values.of(theta, "temperature_dependent_friction.rate")
         if not rate:
             return np.ones(len(record))
         warmth = record.auxiliary["winding_temperature"]
         return np.asarray(np.exp(-rate * (warmth - warmth[0])))
-
-    def _sensor(self, theta: FloatArray, record: Record, windows: Windows, w: FloatArray) -> FloatArray:
-        cubic, gain = self._value(theta, "sensor_nonlinearity.cubic"), self._value(theta, "sensor_gain.gain")
-        w = w + cubic * w * w * w if cubic else w
-        w = w * (1.0 + gain) if gain else w
-        time_constant = self._value(theta, "sensor_lag.time_constant")
-        return lagged(record, windows, w, time_constant) if time_constant else w

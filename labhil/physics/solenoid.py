@@ -1,0 +1,288 @@
+"""The solenoid as it is fitted: m·ẍ = F(i, x) − k·x − friction, between two stops.
+
+Equations 4.10 and 4.11 of the reference text, F a third-order polynomial in current and position as there.
+The text gives no coefficients: the default map is ours (0 N without current, about 70 N at 2.7 A), and
+[known] force_map replaces it by a table, to which the polynomial is fitted. Eddy currents and hysteresis
+act between the current and the force.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from labhil.errors import RigFileError
+from labhil.physics import friction, input_path, sliding
+from labhil.physics.driven import DrivenPath
+from labhil.physics.friction_terms import friction_terms
+from labhil.physics.model import Metric, Record, Windows
+from labhil.physics.path_terms import input_terms, output_terms
+from labhil.physics.terms import Enters, Parameter, Term, Yardstick
+from labhil.physics.values import Values, known_numbers
+from labhil.rig import RigFile
+from labhil.signals import FloatArray
+
+STROKE = 5e-3
+FORCE_MAP = {(1, 0): 8.0, (1, 1): 2.0, (1, 2): -3.0, (2, 0): 12.0, (2, 1): 1.5, (3, 0): -2.0}
+"""Force in N: the factor of i^a·(x/5 mm)^b for each (a, b), i in A."""
+
+COLUMNS = ("coil_current", "plunger_position", "magnetic_force")
+PERIODS = 5.0
+DAMPING_TIMES = 3.0
+TYPICAL_MASS, TYPICAL_STIFFNESS = 0.05, 5000.0
+MAGNETIC = ("residual_magnetism.current", "magnetic_saturation.coefficient")
+
+
+def default_map() -> FloatArray:
+    """Coefficients C[a, b] of i^a·x^b, N, A and m."""
+    table = np.zeros((sliding.POWERS, sliding.POWERS))
+    for (a, b), factor in FORCE_MAP.items():
+        table[a, b] = factor / STROKE**b
+    return table
+
+
+def fitted_map(path: Path) -> FloatArray:
+    """Third-order polynomial through a table of coil_current, plunger_position, magnetic_force (CSV).
+
+    Without current there is no force. RigFileError when the table cannot be read, or holds fewer points
+    than the polynomial has coefficients.
+    """
+    try:
+        header = path.read_text(encoding="utf-8").splitlines()[0].split(",")
+        places = [[name.strip() for name in header].index(name) for name in COLUMNS]
+        i, x, force = np.loadtxt(path, delimiter=",", skiprows=1, usecols=places, ndmin=2).T
+    except (OSError, ValueError, IndexError) as error:
+        wanted = ", ".join(COLUMNS)
+        raise RigFileError(f"{path}: expected a table with the columns {wanted}: {error}") from error
+    powers = [(a, b) for a in range(1, 4) for b in range(4 - a)]
+    if len(force) < len(powers) or not np.all(np.isfinite([i, x, force])):
+        raise RigFileError(f"{path}: expected {len(powers)} finite rows or more, found {len(force)}")
+    span = float(np.abs(x).max()) or 1.0
+    design = np.column_stack([i**a * (x / span) ** b for a, b in powers])
+    factors, *_ = np.linalg.lstsq(design, force, rcond=None)
+    table = np.zeros((sliding.POWERS, sliding.POWERS))
+    for (a, b), factor in zip(powers, factors, strict=True):
+        table[a, b] = factor / span**b
+    return table
+
+
+def catalogue(level: float, speed: float) -> dict[str, Term]:
+    """All terms; ``level`` is a typical friction force, N, ``speed`` a typical velocity, m/s."""
+    loads = (
+        Term(
+            "spring_preload",
+            Enters.FORCE,
+            "a spring that pushes already at rest",
+            "F = −F_0",
+            "standard",
+            "lift-off from the rest stop",
+            (Parameter("spring_preload.force", "N", level),),
+        ),
+        Term(
+            "spring_hardening",
+            Enters.FORCE,
+            "a spring that stiffens along the stroke",
+            "F = −k₃·x³",
+            "Duffing",
+            "motion over the whole stroke",
+            (Parameter("spring_hardening.coefficient", "N/m³", level / STROKE**3),),
+        ),
+        Term(
+            "end_stop_contact",
+            Enters.FORCE,
+            "a plunger that bounces at its stops",
+            "v⁺ = −e·v⁻",
+            "Newton's impact law",
+            "meeting a stop at speed",
+            (Parameter("end_stop_contact.restitution", "1", 0.2, 0.0, 0.95, starts=(0.3,)),),
+        ),
+    )
+    magnetic = (
+        Term(
+            "eddy_current", Enters.MAGNETIC, "a field that lags behind the current (eddy currents)",
+            "τ·i̇_eff + i_eff = i", "diffusion of the field, first mode", "fast changes of the current",
+            (Parameter("eddy_current.time_constant", "s", 0.002, 0.0, 0.1, starts=(0.002,)),),
+        ),
+        Term(
+            "magnetic_hysteresis", Enters.MAGNETIC, "a field that remembers where the current turned",
+            "i_eff = play operator of width w on i", "play hysteron", "turning points at different currents",
+            (Parameter("magnetic_hysteresis.width", "A", 0.1, 0.0, starts=(0.05,), of=Yardstick.INPUT),),
+        ),
+        Term(
+            "magnetic_saturation", Enters.MAGNETIC, "iron that saturates at large currents",
+            "i_eff = i/(1 + s·|i|)", "first-order knee", "large and small currents",
+            (Parameter("magnetic_saturation.coefficient", "1/A", 0.05, -0.2, 2.0, starts=(0.05,)),),
+        ),
+        Term(
+            "residual_magnetism", Enters.MAGNETIC, "a field that stays without current", "i_eff = i + i_0",
+            "remanence", "small currents",
+            (Parameter("residual_magnetism.current", "A", 0.1, -1.0, 1.0),),
+        ),
+    )  # fmt: skip
+    offset = Term(
+        "sensor_offset", Enters.OUTPUT, "an offset of the position sensor", "y = x + x_0", "standard",
+        "rest at a stop whose place is known", (Parameter("sensor_offset.offset", "m", 1e-4),),
+    )  # fmt: skip
+    terms = friction_terms("N", "m", level, speed) + loads + magnetic + input_terms("A")
+    terms += (*output_terms("plunger_position", "m", STROKE), offset)
+    return {term.key: term for term in terms}
+
+
+class SolenoidModel:
+    """The white-box model of one solenoid current rig (satisfies ``physics.model.Model``).
+
+    Driven by the measured ``coil_current``; simulates ``plunger_position``. Moving mass and spring
+    stiffness are estimated unless known; stops that are not known are those of the record's range.
+    """
+
+    kind = "solenoid"
+    metric = Metric.WINDOWED_SIMULATION
+    forgets = True
+    state_names = ("plunger_position", "plunger_velocity")
+    never_seen: Mapping[str, str] = {
+        "motional_emf": "the current is measured: a voltage that the motion induces changes nothing else"
+    }
+
+    def __init__(self, rig: RigFile, record: Record | None = None) -> None:
+        known = known_numbers(rig)
+        x = record.outputs[:, 0] if record is not None else np.array([0.0, STROKE])
+        self.low = known.pop("stop_low", min(0.0, float(np.quantile(x, 0.001))))
+        self.high = known.pop("stop_high", max(STROKE, float(x.max())))
+        self.fixed = known
+        path = rig.known_path("force_map")
+        self.map = default_map() if path is None else fitted_map(path)
+        self.force = sliding.drive(self._strongest(record), 0.5 * (self.low + self.high), self.map)
+        self.speed = self._speed(record)
+        self.terms: Mapping[str, Term] = catalogue(0.05 * abs(self.force), self.speed)
+        own = {"moving_mass": ("kg", TYPICAL_MASS), "spring_stiffness": ("N/m", self._stiffness())}
+        self.parameters = tuple(
+            Parameter(n, unit, size, 1e-2 * size, 1e2 * size, starts=(size,))
+            for n, (unit, size) in own.items()
+            if n not in self.fixed
+        ) + tuple(p for term in self.terms.values() for p in term.parameters)
+        self.state_scale = np.array([0.02 * (self.high - self.low), 0.2 * self.speed])
+        self._values = Values(self.fixed, self.parameters)
+        self._stated = rig.metric.horizon
+        natural = np.sqrt(self.fixed.get("spring_stiffness", TYPICAL_STIFFNESS) / TYPICAL_MASS)
+        self.horizon = float(self._stated or max(PERIODS * 2.0 * np.pi / natural, 0.1))
+        self._path = DrivenPath()
+
+    @staticmethod
+    def _strongest(record: Record | None) -> float:
+        return 2.0 if record is None else float(np.quantile(np.abs(record.inputs[:, 0]), 0.99)) or 1.0
+
+    @staticmethod
+    def _speed(record: Record | None) -> float:
+        if record is None:
+            return 0.05
+        stride = max(1, int(0.005 / record.period))
+        slow = record.outputs[::stride, 0]
+        return float(np.sqrt(np.mean((np.diff(slow) / np.diff(record.t[::stride])) ** 2))) or 0.05
+
+    def _stiffness(self) -> float:
+        """A spring that the strongest force moves over half of the stroke, N/m."""
+        return max(abs(self.force) / (0.5 * (self.high - self.low)) * 0.25, 1.0)
+
+    def horizon_at(self, theta: FloatArray) -> float:
+        """The larger of 3/(ζω) and 5 periods of mass and spring, s."""
+        if self._stated:
+            return self._stated
+        mass, k = self._values.of(theta, "moving_mass"), self._values.of(theta, "spring_stiffness")
+        damping = 0.5 * self._values.of(theta, "viscous_friction.coefficient") / mass
+        periods = PERIODS * 2.0 * np.pi / np.sqrt(k / mass)
+        return float(max(periods, DAMPING_TIMES / damping if damping > 0.0 else 0.0))
+
+    def prepare(self, record: Record) -> Record:
+        """The record itself."""
+        return record
+
+    def initial_states(self, record: Record, windows: Windows) -> FloatArray:
+        """Position and slope of a straight line through the first samples of each window."""
+        states = np.empty((len(windows), 2))
+        count = max(4, int(2e-3 / record.period))
+        for w, (first, last) in enumerate(zip(windows.first, windows.last, strict=True)):
+            stop = min(first + count, last)
+            t = record.t[first:stop] - record.t[first]
+            slope, start = np.polyfit(t, record.outputs[first:stop, 0], 1) if stop - first > 1 else (0.0, 0.0)
+            states[w] = start, slope
+        return states
+
+    def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
+        """Measured position in m, (N, 1)."""
+        x = self._trajectory(theta, record, windows, states)[:, 0]
+        return self._values.sensed(theta, record, windows, x)[:, None]
+
+    def coordinates(
+        self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
+    ) -> Mapping[str, FloatArray]:
+        """Position, velocity, current and its rate along the simulation."""
+        motion = self._trajectory(theta, record, windows, states)
+        i = record.inputs[:, 0]
+        return {
+            "plunger_position": motion[:, 0],
+            "plunger_velocity": motion[:, 1],
+            "coil_current": i[windows.rows],
+            "coil_current_rate": np.gradient(i, record.t)[windows.rows],
+        }
+
+    def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
+        """Force on the plunger at these coordinates, N; zero where it rests."""
+        x, v, i = (coordinates[n] for n in ("plunger_position", "plunger_velocity", "coil_current"))
+        mass = self._values.of(theta, "moving_mass")
+        part, law, table = self._part(theta), self._values.friction_law(theta, mass), self.map / mass
+        force = [
+            sliding.pull_of(float(a), float(b), table, part) - friction.friction(b, c, float(np.sign(c)), law)
+            for a, b, c in zip(i, x, v, strict=True)
+        ]
+        return np.where(v == 0.0, 0.0, mass * np.array(force))
+
+    def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
+        """What starts are fractions of, from this recording."""
+        i = record.inputs[:, 0]
+        return {
+            Yardstick.UNIT: 1.0,
+            Yardstick.INPUT: float(np.abs(i).max()) or 1.0,
+            Yardstick.INPUT_RATE: float(np.quantile(np.abs(np.gradient(i, record.t)), 0.98)) or 1.0,
+            Yardstick.DRIVE: 0.2 * abs(self.force),
+            Yardstick.SPEED: self.speed,
+        }
+
+    def _part(self, theta: FloatArray) -> sliding.Part:
+        mass = self._values.of(theta, "moving_mass")
+        return sliding.Part(
+            force=-self._values.of(theta, "spring_preload.force") / mass,
+            spring=self._values.of(theta, "spring_stiffness") / mass,
+            hardening=self._values.of(theta, "spring_hardening.coefficient") / mass,
+            cogging_sine=0.0,
+            cogging_cosine=0.0,
+            cogging_order=0.0,
+            low=self.low,
+            high=self.high,
+            restitution=self._values.of(theta, "end_stop_contact.restitution"),
+        )
+
+    def _field(self, theta: FloatArray, record: Record) -> input_path.Nodes:
+        """Nodes of the current that the force follows."""
+        t, i = self._path.nodes(record, 0, lambda name: self._values.of(theta, name))
+        if width := self._values.of(theta, "magnetic_hysteresis.width"):
+            t, i = input_path.backlash(t, i, width)
+        if time_constant := self._values.of(theta, "eddy_current.time_constant"):
+            i = input_path.first_order_lag(t, i, time_constant)
+        residual, knee = (self._values.of(theta, name) for name in MAGNETIC)
+        i = i + residual if residual else i
+        return t, i / (1.0 + knee * np.abs(i)) if knee else i
+
+    def _trajectory(
+        self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
+    ) -> FloatArray:
+        """x and v of all windows, (N, 2)."""
+        nodes, current = self._field(theta, record)
+        mass = self._values.of(theta, "moving_mass")
+        out = np.empty((len(windows.rows), 2))
+        sliding.simulate(
+            record.t, nodes, current, windows.first, windows.last, states, self.map / mass,
+            self._part(theta), self._values.friction_law(theta, mass), np.ones(len(record)), out,
+        )  # fmt: skip
+        return out

@@ -1,0 +1,50 @@
+"""A model's numbers by name: what the rig file knows, what is estimated, zero for what is not there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from labhil.physics import friction
+from labhil.physics.driven import lagged
+from labhil.physics.model import Record, Windows, index_of
+from labhil.physics.terms import Parameter
+from labhil.rig import RigFile
+from labhil.signals import FloatArray
+
+
+class Values:
+    """Looks numbers up: ``fixed`` ones of the rig file first, then those of a vector by its parameters."""
+
+    def __init__(self, fixed: Mapping[str, float], parameters: Sequence[Parameter]) -> None:
+        self.fixed = fixed
+        self._index = index_of(parameters)
+
+    def of(self, theta: FloatArray, name: str) -> float:
+        """The value of ``name`` in ``theta``; zero, which is neutral, where no such parameter is."""
+        if name in self.fixed:
+            return self.fixed[name]
+        return float(theta[self._index[name]]) if name in self._index else 0.0
+
+    def friction_law(self, theta: FloatArray, inertia: float) -> FloatArray:
+        """Strengths of all friction laws over the inertia, in the order of ``physics.friction``."""
+        law = np.zeros(friction.SIZE)
+        for place, name in friction.NAMES.items():
+            law[place] = self.of(theta, name) / inertia
+        law[friction.STRIBECK_VELOCITY] = self.of(theta, "stribeck_friction.velocity")
+        return law
+
+    def sensed(self, theta: FloatArray, record: Record, windows: Windows, x: FloatArray) -> FloatArray:
+        """What a sensor with nonlinearity, gain error, offset and lag makes of an output (N,)."""
+        cubic, gain = self.of(theta, "sensor_nonlinearity.cubic"), self.of(theta, "sensor_gain.gain")
+        x = x + cubic * x * x * x if cubic else x
+        x = x * (1.0 + gain) if gain else x
+        x = x + self.of(theta, "sensor_offset.offset")
+        time_constant = self.of(theta, "sensor_lag.time_constant")
+        return lagged(record, windows, x, time_constant) if time_constant else x
+
+
+def known_numbers(rig: RigFile) -> dict[str, float]:
+    """What the rig file knows as single numbers, by name."""
+    return {name: value for name in rig.kind.known if (value := rig.known_number(name)) is not None}
