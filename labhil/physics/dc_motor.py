@@ -319,11 +319,21 @@ class DcMotorModel:
         if "angle" in record.auxiliary:
             begun[:, 2] = record.auxiliary["angle"][windows.first]
         out = np.empty((len(windows.rows), 3))
+        inertia = self._values.of(theta, "inertia")
         winding.simulate(
-            record.t, node_t, voltage, gain, windows.first, windows.last, begun, self._motor(theta),
-            
-            self._values.friction_law(theta, self._values.of(theta, "inertia")), self._warm(theta, record), self._viscous_change(theta, record), out,
-        )  # fmt: skip
+            record.t,
+            node_t,
+            voltage,
+            gain,
+            windows.first,
+            windows.last,
+            begun,
+            self._motor(theta),
+            self._values.friction_law(theta, inertia),
+            self._warm(theta, record),
+            self._viscous_change(theta, record),
+            out,
+        )
         return out
 
     def _warm(self, theta: FloatArray, record: Record) -> FloatArray:
