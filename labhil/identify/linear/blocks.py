@@ -1,0 +1,162 @@
+"""Hammerstein-Wiener: a bent line, a linear model, a bent line.
+
+w = g(u), x = B/F·w, y = h(x): g and h are piecewise linear and run straight on beyond the data. A start
+comes from g alone (Bai 1998: with B/F's numerator it is linear in products, which a singular value
+decomposition takes apart); then everything is improved together, h's values being projected out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import optimize, signal
+
+from labhil.identify.linear.data import ComplexArray, Orders, Sampled
+from labhil.identify.linear.filters import (
+    continuous,
+    free_responses,
+    improve,
+    input_columns,
+    polynomial_text,
+    project,
+    stabilised,
+    stable,
+    unbounded,
+)
+from labhil.identify.linear.polynomial import denominators
+from labhil.signals import FloatArray
+
+WIDEST = 1.5
+"""Bends of h lie within that many standard deviations of x."""
+
+
+@dataclass(frozen=True, slots=True)
+class BentLine:
+    """``offset`` + ``slopes``₀·v + Σ ``slopes``ᵢ·max(v − ``bends``ᵢ, 0), v = (value − middle)/size."""
+
+    middle: float
+    size: float
+    bends: FloatArray
+    slopes: FloatArray
+    offset: float = 0.0
+
+    def __call__(self, values: FloatArray) -> FloatArray:
+        """The line at these values, element by element."""
+        return self.offset + _bent((values - self.middle) / self.size, self.bends) @ self.slopes
+
+
+@dataclass(frozen=True, slots=True)
+class HammersteinWienerModel:
+    """y = ``after``(``b``/``f``·``before``(u)), coefficients of q⁰, q⁻¹, …"""
+
+    orders: Orders
+    period: float
+    before: BentLine
+    b: FloatArray
+    f: FloatArray
+    after: BentLine
+    loss: float
+    name: str = "hammerstein_wiener"
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """Slopes of the two lines (g0 …, h0 …), b and f by power, and the offset."""
+        found = {f"g{i}": float(v) for i, v in enumerate(self.before.slopes)}
+        found |= {f"b{i}": float(v) for i, v in enumerate(self.b) if i >= len(self.b) - self.orders.inputs}
+        found |= {f"f{i}": float(v) for i, v in enumerate(self.f) if i > 0}
+        found |= {f"h{i}": float(v) for i, v in enumerate(self.after.slopes)}
+        return {**found, "offset": self.after.offset}
+
+    @property
+    def poles(self) -> ComplexArray:
+        """Poles of B/F in continuous time, rad/s."""
+        return continuous(np.roots(self.f), self.period)
+
+    def simulate(self, u: FloatArray, start: FloatArray | None = None) -> FloatArray:
+        """Free run over the input (n,), from rest or the state that suits ``start`` best."""
+        x = np.asarray(signal.lfilter(self.b, self.f, self.before(u)))
+        if start is None or not len(start):
+            return self.after(x)
+        m = min(len(start), len(u))
+        free = free_responses(self.f, len(u))
+
+        def residual(state: FloatArray) -> FloatArray:
+            return self.after(x[:m] + free[:m] @ state) - start[:m]
+
+        # where h is flat nothing tells the state: begin where h without its bends would
+        slope = self.after.slopes[0] / self.after.size or 1.0
+        begin = project(free[:m], (start[:m] - self.after(x[:m])) / slope)[0]
+        state = optimize.least_squares(residual, begin, x_scale="jac", max_nfev=50).x
+        return self.after(x + free @ state)
+
+    def describe(self) -> str:
+        """The three blocks as equations."""
+        return (
+            f"w = g(u), x = [{polynomial_text(self.b)}]/[{polynomial_text(self.f)}]·w, y = h(x), "
+            f"g and h with {len(self.before.bends)} bends, T = {self.period:g} s"
+        )
+
+
+def fit_hammerstein_wiener(data: Sampled, orders: Orders) -> HammersteinWienerModel:
+    """Fit ``orders.poles``, ``orders.inputs`` and ``orders.degree`` bends in each of the two lines."""
+    middle, size = float(data.u.mean()), float(np.std(data.u)) or 1.0
+    v = (data.u - middle) / size
+    bends = np.asarray(np.quantile(v, np.linspace(0, 1, orders.degree + 2)[1:-1]), dtype=np.float64)
+    bent = _bent(v, bends)
+    f, slopes, numerator = _hammerstein(data, orders, bent)
+    p, k, delay = orders.poles, orders.inputs, data.least_delay + orders.delay
+    knots = np.linspace(-WIDEST, WIDEST, orders.degree + 2, dtype=np.float64)[1:-1]
+
+    def unfolded(z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        return stable(z[:p]), z[p : p + k], z[p + k : -p]
+
+    def output(z: FloatArray) -> FloatArray:
+        f, b, g = unfolded(z)
+        padded = np.append(np.zeros(delay), b)
+        return np.asarray(signal.lfilter(padded, f, bent @ g)) + free_responses(f, len(data)) @ z[-p:]
+
+    def lined(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        columns = np.column_stack((_bent((x - x.mean()) / (np.std(x) or 1.0), knots), np.ones(len(x))))
+        return project(columns, data.y)
+
+    z = improve(
+        lambda z: lined(output(z))[1],
+        [np.concatenate((unbounded(f), numerator, slopes, np.zeros(p)))],
+        keep=1,
+    )
+    x = output(z)
+    found, left = lined(x)
+    f, b, g = unfolded(z)
+    before = BentLine(middle, size, bends, g)
+    after = BentLine(float(x.mean()), float(np.std(x)) or 1.0, knots, found[:-1], float(found[-1]))
+    padded = np.append(np.zeros(delay), b)
+    return HammersteinWienerModel(
+        orders, data.period, before, padded, f, after, float(np.mean(np.square(left)))
+    )
+
+
+def _hammerstein(
+    data: Sampled, orders: Orders, bent: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """F, the slopes of g and B's coefficients when h is straight."""
+    n, count, delay = len(data), bent.shape[1], data.least_delay + orders.delay
+
+    def columns(f: FloatArray) -> FloatArray:
+        moved = [input_columns(f, bent[:, i], orders.inputs, delay) for i in range(count)]
+        return np.column_stack((*moved, np.ones(n), free_responses(f, n)))
+
+    def residual(theta: FloatArray) -> FloatArray:
+        return project(columns(stable(theta)), data.y)[1]
+
+    starts = [unbounded(f) for f in denominators(data, orders)]
+    f = stabilised(stable(improve(residual, starts)))
+    products = project(columns(f), data.y)[0][: count * orders.inputs].reshape(count, orders.inputs)
+    left, sizes, right = np.linalg.svd(products)
+    slopes, numerator = left[:, 0], right[0]
+    return f, slopes, float(sizes[0]) * numerator
+
+
+def _bent(v: FloatArray, bends: FloatArray) -> FloatArray:
+    return np.column_stack((v, *(np.maximum(v - bend, 0.0) for bend in bends)))

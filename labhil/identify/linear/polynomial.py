@@ -1,0 +1,242 @@
+"""ARX, ARMAX, output error and Box-Jenkins: y = B/F·u + offset + noise, polynomials in the delay q⁻¹.
+
+Fits make the prediction error small (Ljung 1999, chapters 4, 7 and 10). Where that is linear in
+coefficients with the others fixed, those are projected out, together with the unknown state at the first
+sample and the offset; what remains are the denominators, which are stable by construction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import signal
+
+from labhil.identify.linear.data import ComplexArray, Orders, Sampled
+from labhil.identify.linear.filters import (
+    continuous,
+    free_responses,
+    free_run,
+    improve,
+    input_columns,
+    polynomial_text,
+    project,
+    stabilised,
+    stable,
+    unbounded,
+)
+from labhil.signals import FloatArray
+
+STEIGLITZ_ROUNDS = 5
+COARSE = (1, 3, 10, 30)
+"""Strides at which starts are looked for: at a fast rate noise hides what happens from sample to sample."""
+
+
+@dataclass(frozen=True, slots=True)
+class PolynomialModel:
+    """y = ``b``/``f``·u + ``offset`` + ``c``/``d``·e, coefficients of q⁰, q⁻¹, … with f₀ = c₀ = d₀ = 1.
+
+    ``b`` begins with the delay's zeros. For ARX and ARMAX ``d`` is ``f``, the A of the textbooks.
+    """
+
+    name: str
+    orders: Orders
+    period: float
+    b: FloatArray
+    f: FloatArray
+    c: FloatArray
+    d: FloatArray
+    offset: float
+    loss: float
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """Coefficients by name: b1, f1 (a1 for ARX and ARMAX), c1, d1, offset."""
+        shared = self.name in ("arx", "armax")
+        kinds = {"a" if shared else "f": self.f, "c": self.c, "d": np.ones(1) if shared else self.d}
+        found = {f"b{i}": float(v) for i, v in enumerate(self.b) if i >= len(self.b) - self.orders.inputs}
+        for kind, values in kinds.items():
+            found |= {f"{kind}{i}": float(v) for i, v in enumerate(values) if i > 0}
+        return {**found, "offset": self.offset}
+
+    @property
+    def poles(self) -> ComplexArray:
+        """Poles of B/F in continuous time, rad/s."""
+        return continuous(np.roots(self.f), self.period)
+
+    def simulate(self, u: FloatArray, start: FloatArray | None = None) -> FloatArray:
+        """Free run over the input (n,), from rest or the state that suits ``start`` best."""
+        return free_run(self.b, self.f, self.offset, u, start)
+
+    def predict(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """One-step predictions (n,): ŷ = y − D/C·(y − B/F·u − offset), at rest before the first sample."""
+        left = y - self.simulate(u)
+        return np.asarray(y - signal.lfilter(self.d, self.c, left))
+
+    def describe(self) -> str:
+        """The model as an equation."""
+        text = f"y = [{polynomial_text(self.b)}]/[{polynomial_text(self.f)}]·u + {self.offset:.6g}"
+        if len(self.c) > 1 or len(self.d) > 1:
+            text += f" + [{polynomial_text(self.c)}]/[{polynomial_text(self.d)}]·e"
+        return f"{text}, T = {self.period:g} s"
+
+
+def fit_arx(data: Sampled, orders: Orders) -> PolynomialModel:
+    """A(q)·y = B(q)·u + offset + e by linear least squares."""
+    return _with_moving_average("arx", data, orders, np.ones(1))
+
+
+def fit_armax(data: Sampled, orders: Orders) -> PolynomialModel:
+    """A(q)·y = B(q)·u + offset + C(q)·e; for a given C this is ARX of signals filtered by 1/C."""
+    columns, target = _regressors(data, orders)
+
+    def residual(theta: FloatArray) -> FloatArray:
+        return _filtered_fit(columns, target, stable(theta))[1]
+
+    if orders.noise == 0:
+        return _with_moving_average("armax", data, orders, np.ones(1))
+    # white noise on the output alone is C = A: begin there too, as far as C reaches
+    own = [unbounded(f)[: orders.noise] for f in denominators(data, orders)]
+    starts = [np.append(theta, np.zeros(orders.noise - len(theta))) for theta in own]
+    c = stable(improve(residual, [np.zeros(orders.noise), *starts]))
+    return _with_moving_average("armax", data, orders, c)
+
+
+def fit_oe(data: Sampled, orders: Orders) -> PolynomialModel:
+    """y = B(q)/F(q)·u + offset + e: the simulation error itself is made small."""
+
+    def residual(theta: FloatArray) -> FloatArray:
+        return _simulated(data, orders, stable(theta))[1]
+
+    f = stable(improve(residual, [unbounded(f) for f in denominators(data, orders)]))
+    found, left = _simulated(data, orders, f)
+    one = np.ones(1)
+    return _model("oe", data, orders, (found, f, one, one), left)
+
+
+def fit_box_jenkins(data: Sampled, orders: Orders) -> PolynomialModel:
+    """y = B(q)/F(q)·u + offset + C(q)/D(q)·e, begun from the output-error fit."""
+    if orders.noise == 0:
+        raise ValueError("a Box-Jenkins model needs noise polynomials: noise must be 1 at least, found 0")
+    first = fit_oe(data, orders)
+    p, m = orders.poles, orders.noise
+    left = data.y - first.simulate(data.u, data.y)
+    theta = unbounded(_autoregression(left, m))
+
+    def parts(z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        return stable(z[:p]), stable(z[p : p + m]), stable(z[p + m :])
+
+    def residual(z: FloatArray) -> FloatArray:
+        f, c, d = parts(z)
+        return _simulated(data, orders, f, c, d)[1]
+
+    begin = unbounded(first.f)
+    starts = [np.concatenate((begin, ma, theta)) for ma in (np.zeros(m), 0.5 * theta)]
+    f, c, d = parts(improve(residual, starts))
+    found, left = _simulated(data, orders, f, c, d)
+    return _model("box_jenkins", data, orders, (found, f, c, d), left)
+
+
+def denominators(data: Sampled, orders: Orders) -> list[FloatArray]:
+    """Guesses of F, by Steiglitz and McBride's rounds at several strides of the data."""
+    found = []
+    for stride in COARSE:
+        few = Sampled(data.u[::stride], data.y[::stride], data.period * stride, data.hold)
+        if len(few) < 20 * (orders.poles + orders.inputs):
+            break
+        f = np.ones(1)
+        for _ in range(STEIGLITZ_ROUNDS):
+            filtered = Sampled(
+                signal.lfilter([1.0], f, few.u),
+                signal.lfilter([1.0], f, few.y - few.y[0]),
+                few.period,
+                few.hold,
+            )
+            columns, target = _regressors(
+                filtered, Orders(orders.poles, orders.inputs, delay=orders.delay // stride)
+            )
+            f = stabilised(np.append(1.0, project(columns, target)[0][: orders.poles]))
+        found.append(_finer(f, stride))
+    return found or [np.append(1.0, np.full(orders.poles, -0.1))]
+
+
+def simulation_loss(data: Sampled, orders: Orders, f: FloatArray) -> float:
+    """Mean square simulation error (unit²) with this denominator and the best numerator."""
+    return float(np.mean(np.square(_simulated(data, orders, f)[1])))
+
+
+def _finer(f: FloatArray, stride: int) -> FloatArray:
+    """The denominator at every sample of one for every ``stride``-th: poles to the power 1/stride."""
+    if stride == 1:
+        return f
+    roots = np.roots(f).astype(np.complex128)
+    return np.asarray(np.poly(np.abs(roots) ** (1 / stride) * np.exp(1j * np.angle(roots) / stride)).real)
+
+
+def _simulated(
+    data: Sampled,
+    orders: Orders,
+    f: FloatArray,
+    c: FloatArray | None = None,
+    d: FloatArray | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """B's coefficients and the offset (inputs + 1,), and the residuals, for given denominators and noise."""
+    n = len(data)
+    moved = input_columns(f, data.u, orders.inputs, data.least_delay + orders.delay)
+    columns = np.column_stack((moved, np.ones(n), free_responses(f, n)))
+    if c is None or d is None:
+        found, left = project(columns, data.y)
+    else:
+        whitened = signal.lfilter(d, c, columns, axis=0)
+        past = free_responses(c, n)
+        found, left = project(np.column_stack((whitened, past)), signal.lfilter(d, c, data.y))
+    return found[: orders.inputs + 1], left
+
+
+def _regressors(data: Sampled, orders: Orders) -> tuple[FloatArray, FloatArray]:
+    """Columns −y(t−1) …, u(t−delay) …, 1, and y(t), from the first sample whose past is known."""
+    delay, n = data.least_delay + orders.delay, len(data)
+    first = max(orders.poles, delay + orders.inputs - 1)
+    past = [-data.y[first - i : n - i] for i in range(1, orders.poles + 1)]
+    moved = [data.u[first - delay - j : n - delay - j] for j in range(orders.inputs)]
+    return np.column_stack((*past, *moved, np.ones(n - first))), data.y[first:]
+
+
+def _filtered_fit(columns: FloatArray, target: FloatArray, c: FloatArray) -> tuple[FloatArray, FloatArray]:
+    past = free_responses(c, len(target))
+    filtered = signal.lfilter([1.0], c, columns, axis=0)
+    return project(np.column_stack((filtered, past)), signal.lfilter([1.0], c, target))
+
+
+def _with_moving_average(name: str, data: Sampled, orders: Orders, c: FloatArray) -> PolynomialModel:
+    found, left = _filtered_fit(*_regressors(data, orders), c)
+    p, k = orders.poles, orders.inputs
+    a = np.append(1.0, found[:p])
+    f = stabilised(a)
+    if np.allclose(f, a, rtol=1e-12, atol=1e-12):
+        numerator = np.append(found[p : p + k], found[p + k] / a.sum())
+    else:
+        # an unstable denominator cannot run free: keep its stable mirror image, and what suits that
+        numerator, left = _simulated(data, orders, f)
+    return _model(name, data, orders, (numerator, f, c, f), left)
+
+
+def _model(
+    name: str,
+    data: Sampled,
+    orders: Orders,
+    parts: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    left: FloatArray,
+) -> PolynomialModel:
+    numerator, f, c, d = parts
+    b = np.append(np.zeros(data.least_delay + orders.delay), numerator[:-1])
+    loss = float(np.mean(np.square(left)))
+    return PolynomialModel(name, orders, data.period, b, f, c, d, float(numerator[-1]), loss)
+
+
+def _autoregression(values: FloatArray, order: int) -> FloatArray:
+    """1 + d₁q⁻¹ + … that whitens the values, by least squares."""
+    n = len(values)
+    past = np.column_stack([values[order - i : n - i] for i in range(1, order + 1)])
+    return np.append(1.0, -project(past, values[order:])[0])

@@ -1,0 +1,154 @@
+"""State space by a subspace method: x(t+1) = A·x + B·u, y = C·x + D·u + offset.
+
+Order and the pair (A, C) come from the oblique projection of future outputs along future inputs on the
+past (N4SID: Van Overschee and De Moor 1994). B, D, the offset and the state at the first sample then
+follow from linear least squares on the simulated output, which is more accurate than the subspace's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy import signal
+
+from labhil.identify.linear.data import ComplexArray, Orders, Sampled
+from labhil.identify.linear.filters import MOST_REFLECTION, continuous, delayed, project
+from labhil.signals import FloatArray
+
+MOST_BLOCK_ROWS = 40
+FEWEST_BLOCK_ROWS = 10
+REAL = 1e-12
+NEGLIGIBLE = 1e-10
+
+
+@dataclass(frozen=True, slots=True)
+class StateSpaceModel:
+    """Matrices ``a`` (k, k), ``b`` (k,), ``c`` (k,), ``d``; ``offset`` of the output; discrete time."""
+
+    orders: Orders
+    period: float
+    a: FloatArray
+    b: FloatArray
+    c: FloatArray
+    d: float
+    offset: float
+    loss: float
+    name: str = "state_space"
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """Elements of the matrices: a11 …, b1 …, c1 …, d, offset."""
+        k = len(self.b)
+        found = {f"a{i + 1}{j + 1}": float(self.a[i, j]) for i in range(k) for j in range(k)}
+        found |= {f"b{i + 1}": float(v) for i, v in enumerate(self.b)}
+        found |= {f"c{i + 1}": float(v) for i, v in enumerate(self.c)}
+        return {**found, "d": self.d, "offset": self.offset}
+
+    @property
+    def poles(self) -> ComplexArray:
+        """Eigenvalues in continuous time, rad/s."""
+        return continuous(np.linalg.eigvals(self.a), self.period)
+
+    def simulate(self, u: FloatArray, start: FloatArray | None = None) -> FloatArray:
+        """Free run over the input (n,), from rest or the state that suits ``start`` best."""
+        poles, vectors = np.linalg.eig(self.a)
+        residues = (self.c @ vectors) * np.linalg.solve(vectors, self.b.astype(np.complex128))
+        u = delayed(u, self.orders.delay)
+        y = self.d * u + self.offset
+        for pole, residue in zip(poles, residues, strict=True):
+            y = y + (residue * signal.lfilter([0.0, 1.0], [1.0, -pole], u)).real
+        if start is None or not len(start):
+            return np.asarray(y)
+        free = _modes(poles, len(u))
+        m = min(len(start), len(u))
+        return np.asarray(y + free @ project(free[:m], start[:m] - y[:m])[0])
+
+    def describe(self) -> str:
+        """The matrices, row by row."""
+        rows = "; ".join(" ".join(f"{v:.6g}" for v in row) for row in self.a.tolist())
+        b, c = (" ".join(f"{v:.6g}" for v in m.tolist()) for m in (self.b, self.c))
+        return (
+            f"x⁺ = [{rows}]·x + [{b}]·u, y = [{c}]·x + {self.d:.6g}·u + {self.offset:.6g}, "
+            f"T = {self.period:g} s"
+        )
+
+
+def fit_state_space(data: Sampled, orders: Orders) -> StateSpaceModel:
+    """Fit a model of ``orders.poles`` states; D is free where the input does not hold and moves y at once.
+
+    ValueError when there are too few samples for that order.
+    """
+    late = delayed(data.u, orders.delay)
+    a, c = _pair(late, data.y, orders.poles)
+    poles, vectors = np.linalg.eig(a)
+    size = np.abs(poles)
+    poles = np.where(size >= MOST_REFLECTION, poles / np.maximum(size, 1e-300) ** 2 * MOST_REFLECTION, poles)
+    a = (vectors @ np.diag(poles) @ np.linalg.inv(vectors)).real
+    n = len(data)
+    direct = [late] if data.least_delay == 0 else []
+    forced = _forced(poles, late)
+    columns = np.column_stack((forced, *direct, np.ones(n), _modes(poles, n)))
+    found, left = project(columns, data.y)
+    k = len(poles)
+    b = _input_matrix(poles, vectors, c, found[:k])
+    d = float(found[k]) if direct else 0.0
+    return StateSpaceModel(
+        orders, data.period, a, b, c, d, float(found[k + len(direct)]), float(np.mean(np.square(left)))
+    )
+
+
+def _pair(inputs: FloatArray, outputs: FloatArray, order: int) -> tuple[FloatArray, FloatArray]:
+    """A and C from the column space of the oblique projection."""
+    n = len(outputs)
+    rows = min(MOST_BLOCK_ROWS, max(FEWEST_BLOCK_ROWS, 3 * order), n // 8)
+    if rows <= order + 1:
+        raise ValueError(f"{order} states need {8 * (order + 2)} samples at least, found {n}")
+    rows = min(MOST_BLOCK_ROWS, n // 8) if n > 8 * MOST_BLOCK_ROWS else rows
+    u = sliding_window_view(inputs - inputs.mean(), 2 * rows)
+    y = sliding_window_view(outputs - outputs.mean(), 2 * rows)
+    # a constant is projected out with the future inputs: an offset is not to look like a state
+    stacked = np.hstack((np.ones((len(u), 1)), u[:, rows:], u[:, :rows], y[:, :rows], y[:, rows:]))
+    lower = np.asarray(np.linalg.qr(stacked, mode="r")).T
+    past, future = slice(rows + 1, 3 * rows + 1), slice(3 * rows + 1, None)
+    inverse = np.linalg.pinv(lower[past, past], rcond=NEGLIGIBLE)
+    oblique = lower[future, past] @ inverse @ lower[past, : 3 * rows + 1]
+    left, sizes, _ = np.linalg.svd(oblique, full_matrices=False)
+    observability = left[:, :order] * np.sqrt(sizes[:order])
+    a = np.linalg.lstsq(observability[:-1], observability[1:], rcond=None)[0]
+    return a, observability[0]
+
+
+def _forced(poles: ComplexArray, u: FloatArray) -> FloatArray:
+    """Real responses of the modes to the input, (n, k): a real pole one, a pair its two parts."""
+    return _real_parts(poles, [signal.lfilter([0.0, 1.0], [1.0, -pole], u) for pole in poles])
+
+
+def _modes(poles: ComplexArray, n: int) -> FloatArray:
+    """Real free responses of the modes, (n, k)."""
+    return _real_parts(poles, [pole ** np.arange(n) for pole in poles])
+
+
+def _real_parts(poles: ComplexArray, responses: list[ComplexArray]) -> FloatArray:
+    return np.column_stack(
+        [
+            response.imag if pole.imag < -REAL else response.real
+            for pole, response in zip(poles, responses, strict=True)
+        ]
+    )
+
+
+def _input_matrix(poles: ComplexArray, vectors: ComplexArray, c: FloatArray, parts: FloatArray) -> FloatArray:
+    """B from the coefficients of the real responses: residues are (C·v)·(v⁻¹·B), mode by mode."""
+    residues = np.zeros(len(poles), dtype=np.complex128)
+    for i, pole in enumerate(poles):
+        if abs(pole.imag) <= REAL:
+            residues[i] = parts[i]
+        elif pole.imag > 0:
+            j = int(np.argmin(np.abs(poles - pole.conjugate())))
+            # p·Re h + s·Im h = Re[(p − i·s)·h], and that of the conjugate is h's own conjugate
+            residues[i] = (parts[i] + 1j * parts[j]) / 2
+            residues[j] = residues[i].conjugate()
+    return np.asarray((vectors @ (residues / (c @ vectors))).real)

@@ -1,0 +1,188 @@
+"""A transfer function in continuous time, by output error: y(s) = N(s)/D(s)·u(s) + offset.
+
+Between samples the input is held or runs straight, as it really does; the numerator, the offset and the
+state at the first sample are projected out, so that only the denominator's coefficients are searched for,
+as logarithms: a product of s² + a₁s + a₀ and s + a₀ with positive coefficients has no root on the right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from scipy import signal
+
+from labhil.identify.linear.data import ComplexArray, Orders, Sampled
+from labhil.identify.linear.filters import delayed, free_responses, free_run, improve, project
+from labhil.identify.linear.polynomial import denominators
+from labhil.signals import FloatArray, Hold
+
+FARTHEST = 30.0
+"""Logarithms are searched within ± that much of one over a sampling period."""
+DAMPINGS = (0.3, 1.0, 4.0)
+CORNERS = 5
+
+
+@dataclass(frozen=True, slots=True)
+class TransferFunctionModel:
+    """``numerator`` and ``denominator`` in falling powers of s (rad/s), the denominator's first being 1.
+
+    ``period`` (s) and ``hold`` are those of the data that it was fitted to, and of what it simulates.
+    """
+
+    orders: Orders
+    period: float
+    hold: Hold
+    numerator: FloatArray
+    denominator: FloatArray
+    offset: float
+    loss: float
+    name: str = "transfer_function"
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """Coefficients by power of s: n0 …, d0 …, and the offset."""
+        found = {f"n{len(self.numerator) - 1 - i}": float(v) for i, v in enumerate(self.numerator)}
+        order = len(self.denominator) - 1
+        found |= {f"d{order - i}": float(v) for i, v in enumerate(self.denominator) if i > 0}
+        return {**found, "offset": self.offset}
+
+    @property
+    def poles(self) -> ComplexArray:
+        """Poles, rad/s."""
+        return np.asarray(np.sort_complex(np.roots(self.denominator).astype(np.complex128)))
+
+    def simulate(self, u: FloatArray, start: FloatArray | None = None) -> FloatArray:
+        """Free run over the input (n,), from rest or the state that suits ``start`` best."""
+        powers, f = _sampled(self.denominator, len(self.numerator), self.period, self.hold)
+        return free_run(self.numerator[::-1] @ powers, f, self.offset, delayed(u, self.orders.delay), start)
+
+    def describe(self) -> str:
+        """The model as a quotient of polynomials in s."""
+        late = self.orders.delay
+        delay = f"·exp(−{late * self.period:g}·s)" if late else ""
+        quotient = f"({_powers(self.numerator)})/({_powers(self.denominator)})"
+        return f"G(s) = {quotient}{delay}, offset {self.offset:.6g}"
+
+
+def fit_transfer_function(data: Sampled, orders: Orders) -> TransferFunctionModel:
+    """Fit ``orders.poles`` poles and ``orders.inputs`` − 1 zeros, fewer than poles.
+
+    Raises ValueError.
+    """
+    if orders.inputs > orders.poles:
+        raise ValueError(
+            f"a transfer function of {orders.poles} poles has fewer zeros, found {orders.inputs - 1}"
+        )
+
+    def residual(theta: FloatArray) -> FloatArray:
+        return _simulated(data, orders, _denominator(theta, data.period))[1]
+
+    theta = improve(residual, _starts(data, orders), keep=3)
+    denominator = _denominator(theta, data.period)
+    found, left = _simulated(data, orders, denominator)
+    numerator = found[: orders.inputs][::-1]
+    loss = float(np.mean(np.square(left)))
+    return TransferFunctionModel(
+        orders, data.period, data.hold, numerator, denominator, float(found[orders.inputs]), loss
+    )
+
+
+def _simulated(data: Sampled, orders: Orders, denominator: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Coefficients of s⁰, s¹, … and the offset, and the residuals, for a given denominator."""
+    n = len(data)
+    u = delayed(data.u, orders.delay)
+    powers, f = _sampled(denominator, orders.inputs, data.period, data.hold)
+    columns = [signal.lfilter(b, f, u) for b in powers]
+    return project(np.column_stack((*columns, np.ones(n), free_responses(f, n))), data.y)
+
+
+def _sampled(denominator: FloatArray, count: int, period: float, hold: Hold) -> tuple[FloatArray, FloatArray]:
+    """s⁰/D(s), s¹/D(s), … at the samples: numerators (count, order + 1) and the denominator in q⁻¹.
+
+    With the states x, x′, x″, … of 1/D(s), whose transition over a period is a matrix exponential; an
+    input that runs straight from u₀ to u₁ adds its ramp to them.
+    """
+    order = len(denominator) - 1
+    # one unit of time per sample keeps the matrices' elements within reach of each other
+    den = denominator * period ** np.arange(order + 1)
+    block = np.zeros((order + 2, order + 2))
+    block[: order - 1, 1:order] = np.eye(order - 1)
+    block[order - 1, :order] = -den[:0:-1]
+    block[order - 1, order] = 1.0
+    block[order, order + 1] = 1.0
+    moved = _exponential(block)
+    a, held, ramp = moved[:order, :order], moved[:order, order : order + 1], moved[:order, order + 1 :]
+    out, none = np.eye(order)[:count], np.zeros((count, 1))
+    if hold is Hold.ZERO:
+        b, f = signal.ss2tf(a, held, out, none)
+    else:
+        b, f = signal.ss2tf(a, held - ramp, out, none)
+        b = b + np.roll(signal.ss2tf(a, ramp, out, none)[0], -1, axis=1)
+    return b * (period ** (order - np.arange(count)))[:, None], np.asarray(f)
+
+
+def _exponential(matrix: FloatArray) -> FloatArray:
+    """exp(matrix) by scaling, a series and squaring: so small a matrix costs a library more in calling."""
+    squarings = max(0, int(np.ceil(np.log2(max(float(np.abs(matrix).sum(axis=1).max()), 1e-300)))) + 2)
+    scaled = matrix / 2.0**squarings
+    term = total = np.eye(len(matrix))
+    for i in range(1, 16):
+        term = term @ scaled / i
+        total = total + term
+    for _ in range(squarings):
+        total = total @ total
+    return total
+
+
+def _denominator(theta: FloatArray, period: float) -> FloatArray:
+    """Polynomial in s of logarithms: pairs (a₁·T, a₀·T²), and one a₀·T for an odd order."""
+    values = np.exp(np.clip(theta, -FARTHEST, FARTHEST / 6))
+    den = np.ones(1)
+    for i in range(0, len(values) - 1, 2):
+        den = np.polymul(den, [1.0, values[i] / period, values[i + 1] / period**2])
+    return np.polymul(den, [1.0, values[-1] / period]) if len(values) % 2 else den
+
+
+def _starts(data: Sampled, orders: Orders) -> list[FloatArray]:
+    """Poles of discrete fits, and a grid of corner frequencies and dampings."""
+    starts = [
+        start
+        for f in denominators(data, Orders(orders.poles, orders.poles, delay=orders.delay))
+        if (start := _logarithms(np.roots(f).astype(np.complex128))) is not None
+    ]
+    corners = np.geomspace(4.0 / len(data), 0.5, CORNERS)
+    for corner, damping in product(corners, DAMPINGS):
+        pair = [np.log(2 * damping * corner), 2 * np.log(corner)]
+        pairs = [
+            value + shift
+            for shift in range(orders.poles // 2)
+            for value in (pair[0] + shift, pair[1] + shift)
+        ]
+        starts.append(np.array(pairs + [np.log(corner)] * (orders.poles % 2)))
+    return starts
+
+
+def _logarithms(poles: ComplexArray) -> FloatArray | None:
+    """The ``theta`` of poles in the z plane; None where they have no like in continuous time."""
+    if np.any(np.abs(poles) < 1e-12) or np.any((poles.imag == 0) & (poles.real <= 0)):
+        return None
+    s = np.log(poles)
+    s = np.minimum(s.real, -1e-9) + 1j * s.imag
+    pairs = s[s.imag > 0]
+    real = np.sort(s[s.imag == 0].real)
+    factors = [(-2 * pair.real, abs(pair) ** 2) for pair in pairs]
+    factors += [(-(p + q), p * q) for p, q in zip(real[0::2], real[1::2], strict=False)]
+    single = [-real[-1]] if len(real) % 2 else []
+    return np.log(np.array([value for factor in factors for value in factor] + single))
+
+
+def _powers(coefficients: FloatArray) -> str:
+    top = len(coefficients) - 1
+    parts = []
+    for i, value in enumerate(coefficients.tolist()):
+        power = top - i
+        parts.append(f"{value:+.6g}" + ("" if power == 0 else "·s" if power == 1 else f"·s^{power}"))
+    return " ".join(parts).removeprefix("+")
