@@ -107,7 +107,9 @@ def invariants(names: Sequence[str], directions: FloatArray) -> tuple[str, ...]:
     >>> invariants(["a", "b", "c"], np.array([[0.7, 0.7, 0.0]]))
     ('a/b',)
     """
-    directions = directions / np.maximum(np.abs(directions).max(axis=1, keepdims=True), 1e-300)
+    largest = np.abs(directions).max(axis=1, initial=0.0)
+    # a direction along which only parameters at zero move is none of logarithms
+    directions = directions[largest > 0.0] / largest[largest > 0.0, None]
     involved = [i for i in range(len(names)) if np.any(np.abs(directions[:, i]) > INVOLVED)]
     moving = directions[:, involved]
     free = _pivots(moving)
@@ -115,7 +117,7 @@ def invariants(names: Sequence[str], directions: FloatArray) -> tuple[str, ...]:
     texts = []
     for j in others:
         # log x_j − Σ w·log x_free is constant along every direction
-        weights = np.linalg.solve(moving[:, free].T @ moving[:, free], moving[:, free].T @ moving[:, j])
+        weights, *_ = np.linalg.lstsq(moving[:, free], moving[:, j], rcond=None)
         powers = {names[involved[j]]: 1.0}
         powers = {names[involved[f]]: -float(w) for f, w in zip(free, weights, strict=True)} | powers
         texts.append(_product(powers))

@@ -57,8 +57,12 @@ def robust_covariance(jacobian: FloatArray, residuals: FloatArray, dof: int) -> 
     classical = inverse * float(residuals @ residuals) / dof
     scores = jacobian * residuals[:, None]
     robust = inverse @ long_run_variance(scores) @ inverse * (n / dof)
-    least = np.diag(classical)
-    shortfall = np.sqrt(np.maximum(1.0, least / np.maximum(np.diag(robust), 1e-12 * least + 1e-300)))
+    least, found = np.diag(classical), np.diag(robust)
+    lost = ~(found > 1e-12 * least)
+    # rounding may leave nothing, or less, of a direction that the data do not know
+    robust[lost, :] = robust[:, lost] = 0.0
+    robust[lost, lost] = least[lost]
+    shortfall = np.sqrt(np.maximum(1.0, least / np.maximum(np.diag(robust), 1e-300)))
     return np.asarray(robust * np.outer(shortfall, shortfall))
 
 

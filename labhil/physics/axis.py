@@ -16,7 +16,7 @@ from labhil.physics.friction_terms import friction_terms
 from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.path_terms import input_terms, output_terms
 from labhil.physics.terms import Enters, Parameter, Term, Yardstick
-from labhil.physics.values import Values, known_numbers
+from labhil.physics.values import Values, known_numbers, near
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
 
@@ -160,7 +160,7 @@ class AxisModel:
         drag = self._values.of(theta, "viscous_friction.coefficient")
         if self._stated or drag <= 0.0:
             return self._stated or self.horizon
-        return TIME_CONSTANTS * self._mass(theta) / drag
+        return near(TIME_CONSTANTS * self._mass(theta) / drag, self.horizon)
 
     def prepare(self, record: Record) -> Record:
         """The record itself."""

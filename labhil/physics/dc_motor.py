@@ -16,7 +16,7 @@ from labhil.physics.friction_terms import friction_terms
 from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.path_terms import input_terms, output_terms
 from labhil.physics.terms import Enters, Parameter, Term, Yardstick
-from labhil.physics.values import Values, known_numbers
+from labhil.physics.values import Values, known_numbers, near
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
 
@@ -36,8 +36,8 @@ BRUSH_WIDTH = 0.01
 class Sizes:
     """What a recording says of the motor's size before anything is fitted (SI).
 
-    A first-order regression ω̇ = (g·U − ω)/τ gives gain and time constant; back-EMF and resistance follow
-    with the current, or with a typical one.
+    A first-order regression ω̇ = (g·U − ω)/τ − d·sgn ω gives gain and time constant; back-EMF and
+    resistance follow with the current, or with a typical one.
     """
 
     def __init__(self, record: Record | None) -> None:
@@ -56,11 +56,17 @@ class Sizes:
             self._first_order(record.t, u, w)
 
     def _first_order(self, t: FloatArray, u: FloatArray, w: FloatArray) -> None:
-        """ω(t) − ω(t₀) regressed on the integrals of U and ω: no derivative of a noisy signal is needed."""
-        h = np.diff(t)
-        integrals = [np.r_[0.0, np.cumsum(h * 0.5 * (x[1:] + x[:-1]))] for x in (u, w)]
-        design = np.column_stack([*integrals, np.ones(len(t))])
-        (by_voltage, by_speed, _), *_ = np.linalg.lstsq(design, w, rcond=None)
+        """Changes of ω over short blocks in motion, regressed on the integrals of U, ω and sgn ω."""
+        edges = np.arange(0, len(t), max(4, len(t) // 600))
+        h = np.r_[0.0, np.diff(t)]
+        slow = 0.05 * float(np.abs(w).max())
+        moving = np.minimum.reduceat(np.abs(w), edges)[:-1] > slow
+        if np.count_nonzero(moving) < 12:
+            self.gain = self.speed / self.voltage
+            return
+        integrals = [np.add.reduceat(h * x, edges)[:-1][moving] for x in (u, w, np.sign(w))]
+        design = np.column_stack(integrals)
+        by_voltage, by_speed, _ = np.linalg.lstsq(design, np.diff(w[edges])[moving], rcond=None)[0]
         if by_speed < 0.0 < by_voltage:
             self.time_constant = float(np.clip(-1.0 / by_speed, 1e-3, 100.0))
             self.gain = float(-by_voltage / by_speed)
@@ -97,7 +103,9 @@ def own_parameters(s: Sizes) -> dict[str, Parameter]:
         "resistance": ("Ω", s.resistance),
     }
     return {
-        name: Parameter(name, unit, size, 1e-4 * size, 1e3 * size, starts=(size,))
+        name: Parameter(
+            name, unit, size, 1e-4 * size, (30.0 if name == "inductance" else 1e3) * size, (size,)
+        )
         for name, (unit, size) in typical.items()
     }
 
@@ -223,7 +231,7 @@ class DcMotorModel:
         value = self._values.of
         damping = value(theta, "viscous_friction.coefficient")
         damping += value(theta, "torque_constant") ** 2 / value(theta, "resistance")
-        return TIME_CONSTANTS * value(theta, "inertia") / damping
+        return near(TIME_CONSTANTS * value(theta, "inertia") / damping, self.horizon)
 
     def prepare(self, record: Record) -> Record:
         """The record itself."""

@@ -20,7 +20,7 @@ from labhil.physics.friction_terms import friction_terms
 from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.path_terms import input_terms, output_terms
 from labhil.physics.terms import Enters, Parameter, Term, Yardstick
-from labhil.physics.values import Values, known_numbers
+from labhil.physics.values import Values, known_numbers, near
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
 
@@ -192,7 +192,7 @@ class SolenoidModel:
         mass, k = self._values.of(theta, "moving_mass"), self._values.of(theta, "spring_stiffness")
         damping = 0.5 * self._values.of(theta, "viscous_friction.coefficient") / mass
         periods = PERIODS * 2.0 * np.pi / np.sqrt(k / mass)
-        return float(max(periods, DAMPING_TIMES / damping if damping > 0.0 else 0.0))
+        return near(max(periods, DAMPING_TIMES / damping if damping > 0.0 else 0.0), self.horizon)
 
     def prepare(self, record: Record) -> Record:
         """The record itself."""

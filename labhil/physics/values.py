@@ -45,6 +45,11 @@ class Values:
         return lagged(record, windows, x, time_constant) if time_constant else x
 
 
+def near(horizon: float, typical: float) -> float:
+    """A horizon (s) no further than a factor of five from the typical one: a bad fit must not set its own."""
+    return float(np.clip(horizon, 0.2 * typical, 5.0 * typical))
+
+
 def known_numbers(rig: RigFile) -> dict[str, float]:
     """What the rig file knows as single numbers, by name."""
     return {name: value for name in rig.kind.known if (value := rig.known_number(name)) is not None}
