@@ -145,12 +145,12 @@ def test_arx_is_statsmodels_autoregression_with_an_input() -> None:
 
 
 def test_noise_polynomials_are_statsmodels_arma() -> None:
-    u, y = motor(2000, noise=0.0)
-    noise = signal.lfilter([1.0, 0.5], [1.0, -0.8], np.random.default_rng(8).standard_normal(2000))
+    u, y = motor(1000, noise=0.0)
+    noise = signal.lfilter([1.0, 0.5], [1.0, -0.8], np.random.default_rng(8).standard_normal(1000))
     model = fit_box_jenkins(Sampled(u, y + 0.1 * noise, PERIOD), Orders(2, 2, noise=1))
     theirs = ARIMA(y + 0.1 * noise - model.simulate(u), order=(1, 0, 1), trend="n").fit()
-    assert model.parameters["d1"] == pytest.approx(-theirs.params[0], abs=0.01)
-    assert model.parameters["c1"] == pytest.approx(theirs.params[1], abs=0.01)
+    assert model.parameters["d1"] == pytest.approx(-theirs.params[0], abs=0.02)
+    assert model.parameters["c1"] == pytest.approx(theirs.params[1], abs=0.02)
     assert model.loss == pytest.approx(theirs.mse, rel=0.01)
     left = (y + 0.1 * noise) - model.predict(u, y + 0.1 * noise)
     assert float(np.mean(left[50:] ** 2)) == pytest.approx(0.01, rel=0.1)
@@ -204,9 +204,8 @@ def test_a_run_without_bounds_has_no_finite_error() -> None:
 def test_denominators_are_stable_whatever_is_tried(theta: list[float]) -> None:
     f = stable(np.array(theta))
     assert np.abs(np.roots(f)).max() < 1 + 1e-6
-    np.testing.assert_allclose(
-        stable(unbounded(stable(np.clip(theta, -2, 2)))), stable(np.clip(theta, -2, 2))
-    )
+    mild = stable(np.clip(theta, -2, 2))
+    np.testing.assert_allclose(stable(unbounded(mild)), mild, atol=1e-9)
     mirrored = stabilised(np.append(1.0, np.array(theta)))
     assert np.abs(np.roots(mirrored)).max(initial=0.0) < 1 + 1e-6
 
