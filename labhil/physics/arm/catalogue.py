@@ -1,0 +1,191 @@
+"""The terms of an arm: those that each joint has for itself, and those of the whole arm."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from labhil.kinds import JOINTS
+from labhil.physics.model import Record
+from labhil.physics.terms import Enters, Parameter, Term
+from labhil.signals import FloatArray
+
+FRICTION = "eq. 4.64 of the reference text, its Stribeck exponent with the minus sign"
+TEETH = 202.0
+"""Cycles per turn of a joint: two a turn of a harmonic drive's wave generator, which turns 101 times."""
+
+TEMPERATURES = ("joint_temperatures",)
+SHARE = 0.1
+"""Typical friction in shares of a joint's torque."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sizes:
+    """Typical torque N·m, current A, velocity rad/s and acceleration rad/s² of each joint, (6,) each."""
+
+    torque: FloatArray
+    current: FloatArray
+    speed: FloatArray
+    acceleration: FloatArray
+
+    @classmethod
+    def of(cls, record: Record | None, torque_constant: FloatArray) -> Sizes:
+        """Take them from a record; those of a UR5 in brisk motion where there is none."""
+        if record is None:
+            torque = np.array([15.0, 40.0, 20.0, 4.0, 4.0, 2.0])
+            return cls(torque, torque / torque_constant, np.full(JOINTS, 0.5), np.ones(JOINTS))
+        qd = record.inputs[:, JOINTS : 2 * JOINTS]
+        current = np.maximum(_rms(record.outputs), 1e-3)
+        speed = np.maximum(_rms(qd), 0.02)
+        return cls(current * torque_constant, current, speed, 2.0 * speed)
+
+
+def _rms(columns: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt(np.mean(columns**2, axis=0)))
+
+
+def catalogue(sizes: Sizes) -> dict[str, Term]:
+    """All terms by key."""
+    terms = [term for joint in range(JOINTS) for term in (*friction(sizes, joint), *drive(sizes, joint))]
+    return {term.key: term for term in (*terms, *whole_arm())}
+
+
+def _one(
+    name: str, joint: int, enters: Enters, words: tuple[str, str, str, str], *parameters: Parameter,
+    needs: tuple[str, ...] = (), with_terms: tuple[str, ...] = (),
+) -> Term:  # fmt: skip
+    statement, equation, source, revealed_by = words
+    together = tuple(f"{other}[{joint}]" for other in with_terms)
+    return Term(
+        name, enters, statement, equation, source, revealed_by, parameters, needs, together, joint=joint
+    )
+
+
+def friction(sizes: Sizes, joint: int) -> tuple[Term, ...]:
+    """Friction of one joint."""
+    speed = float(sizes.speed[joint])
+    level = SHARE * float(sizes.torque[joint])
+    slope = level / speed
+
+    def linear(name: str, unit: str, scale: float, lower: float = float("-inf")) -> Parameter:
+        return Parameter(name, unit, scale, lower, linear=True, joint=joint)
+
+    return (
+        _one("viscous_friction", joint, Enters.FORCE,
+             ("friction that grows in proportion to velocity", "τ = c·q̇", FRICTION,
+              "motion at several speeds"),
+             linear("viscous_friction.coefficient", "N·m·s/rad", slope, 0.0)),
+        _one("coulomb_friction", joint, Enters.FORCE,
+             ("dry friction: a torque of constant size against the motion", "τ = τ_c·sgn q̇", FRICTION,
+              "motion both ways"),
+             linear("coulomb_friction.level", "N·m", level, 0.0)),
+        _one("stribeck_friction", joint, Enters.FORCE,
+             ("dry friction that falls from its break-away value as motion sets in",
+              "τ = τ_st·exp(−|q̇|/q̇_s)·sgn q̇", FRICTION, "creeping motion and reversals"),
+             Parameter("stribeck_friction.level", "N·m", level, -10 * level, 10 * level,
+                       starts=(0.1 * level,), linear=True, joint=joint),
+             Parameter("stribeck_friction.velocity", "rad/s", 0.1 * speed, 5e-3 * speed, 3.0 * speed,
+                       starts=(0.1 * speed, 0.4 * speed), shape=True, step=1e-3, joint=joint),
+             with_terms=("coulomb_friction",)),
+        _one("quadratic_viscous_friction", joint, Enters.FORCE,
+             ("friction that grows with the square of velocity", "τ = c₂·q̇·|q̇|", FRICTION, "fast motion"),
+             linear("quadratic_viscous_friction.coefficient", "N·m·s²/rad²", slope / speed)),
+        _one("cubic_viscous_friction", joint, Enters.FORCE,
+             ("friction that grows with the cube of velocity (falls off, where negative)", "τ = c₃·q̇³",
+              FRICTION, "fast motion"),
+             linear("cubic_viscous_friction.coefficient", "N·m·s³/rad³", slope / speed**2)),
+        _one("friction_asymmetry", joint, Enters.FORCE,
+             ("friction that differs with the direction of motion", "τ = c_a·|q̇|",
+              "even part of a friction curve; its constant part is the same as an offset of the current",
+              "several speeds both ways"),
+             linear("friction_asymmetry.coefficient", "N·m·s/rad", slope)),
+        _one("position_dependent_friction", joint, Enters.FORCE,
+             ("dry friction that changes along the way", "τ = s·q·sgn q̇", "first-order expansion of τ_c(q)",
+              "the same speeds at different places"),
+             linear("position_dependent_friction.slope", "N·m/rad", level)),
+        _one("load_dependent_friction", joint, Enters.FORCE,
+             ("dry friction that grows with the load on the gear", "τ = μ·|τ_load|·sgn q̇",
+              "efficiency of the gear; τ_load is the rigid body's torque", "motion under different loads"),
+             linear("load_dependent_friction.coefficient", "1", SHARE)),
+        _one("temperature_dependent_friction", joint, Enters.FORCE,
+             ("viscous friction that falls as the joint warms",
+              "c(T) = c·exp(−α·(T − T_0)), T_0 the first temperature", "viscosity of grease",
+              "long runs that warm the joints"),
+             Parameter("temperature_dependent_friction.rate", "1/K", 0.02, -0.2, 0.2, starts=(0.01,),
+                       joint=joint),
+             needs=TEMPERATURES, with_terms=("viscous_friction",)),
+        _one("presliding_friction", joint, Enters.FORCE,
+             ("dry friction that turns over a short way after a reversal (bristles)",
+              "ds = (dq − s·|dq|)/ℓ in the place of sgn q̇", "Dahl 1968; ℓ is level over stiffness",
+              "reversals"),
+             Parameter("presliding_friction.length", "rad", 2e-3, 0.0, 0.1, starts=(2e-3,), step=1e-3,
+                       joint=joint),
+             with_terms=("coulomb_friction",)),
+    )  # fmt: skip
+
+
+def drive(sizes: Sizes, joint: int) -> tuple[Term, ...]:
+    """What else is in one joint: gear, rotor, current measurement."""
+    torque, current = float(sizes.torque[joint]), float(sizes.current[joint])
+    compliance = 2e-3 / torque
+    inertia = SHARE * torque / float(sizes.acceleration[joint])
+    return (
+        _one("torque_ripple", joint, Enters.FORCE,
+             ("a torque that repeats with the angle (the gear's teeth)", "τ = a·sin N·q + b·cos N·q",
+              f"harmonic drive: N = 2·101; beyond half the sampling rate, N·|q̇| = π·rate, it is aliased, "
+              f"beyond the filter's cut-off it is filtered as the current is; N starts at {TEETH:g}",
+              "slow motion"),
+             Parameter("torque_ripple.sine", "N·m", SHARE * torque, starts=(0.01 * torque,), linear=True,
+                       joint=joint),
+             Parameter("torque_ripple.cosine", "N·m", SHARE * torque, starts=(0.01 * torque,), linear=True,
+                       joint=joint),
+             Parameter("torque_ripple.order", "1", TEETH, 0.0, 1000.0, starts=(TEETH,), shape=True,
+                       step=1e-6, joint=joint)),
+        _one("added_inertia", joint, Enters.FORCE,
+             ("more (or less) inertia than the links' (the rotor, seen through the gear)", "τ = J·q̈",
+              "rotor inertia times the gear ratio squared", "fast motion"),
+             Parameter("added_inertia.inertia", "kg·m²", inertia, linear=True, joint=joint)),
+        _one("joint_elasticity", joint, Enters.FORCE,
+             ("a joint that gives way: the link is not where the drive is", "q_link = q − κ·τ_load",
+              "spring between drive and link, to first order in κ", "fast motion under load"),
+             Parameter("joint_elasticity.compliance", "rad/(N·m)", compliance, 0.0, 20.0 * compliance,
+                       starts=(0.1 * compliance,), step=1e-3, joint=joint)),
+        _one("sensor_offset", joint, Enters.OUTPUT,
+             ("an offset of the measured current", "i = τ/K + i_0",
+              "standard; a constant torque is the same", "motion both ways"),
+             Parameter("sensor_offset.offset", "A", SHARE * current, linear=True, joint=joint)),
+        _one("torque_constant", joint, Enters.OUTPUT,
+             ("a torque constant that is not the one assumed", "i = (1 + g)·τ/K + i_0",
+              "the known inertias are the reference", "large torques"),
+             Parameter("torque_constant.gain", "1", SHARE, -0.9, 10.0, joint=joint)),
+    )  # fmt: skip
+
+
+def whole_arm() -> tuple[Term, ...]:
+    """What belongs to no joint."""
+    return (
+        Term("payload", Enters.LOAD, "a mass at the flange that the model does not know of",
+             "a point m at (x, y, z) in the flange's frame joins the last link", "rigid body",
+             "poses and motions that load several joints",
+             (Parameter("payload.mass", "kg", 1.0, 0.0, 50.0, starts=(1.0,)),
+              *(Parameter(f"payload.centre_{axis}", "m", 0.1, -0.5, 0.5, starts=(0.02,), shape=False)
+                for axis in "xyz"))),
+        Term("base_tilt", Enters.LOAD, "a base that does not stand upright",
+             "gravity in the base's frame, rolled about x, then pitched about the floor's y", "rigid body",
+             "the first joint turned all the way; poses in all directions",
+             (Parameter("base_tilt.roll", "rad", 0.05, -3.2, 3.2),
+              Parameter("base_tilt.pitch", "rad", 0.05, -1.6, 1.6))),
+        Term("clock_offset", Enters.OUTPUT, "currents that are reported later than the motion",
+             "i(t) is the current at t − T_d", "two clocks, or two filters, in the controller",
+             "fast motion and reversals",
+             (Parameter("clock_offset.offset", "s", 0.01, -0.1, 0.1, starts=(0.004,), step=1e-2),)),
+    )  # fmt: skip
+
+
+NEVER_SEEN: Mapping[str, str] = {
+    "static_friction": "it shows only where a joint rests, and there the current may be anything it can hold",
+    "constant_force": "a constant torque is the same as sensor_offset, an offset of the current",
+    "time_delay": "the input is the measured motion; the other clock's is clock_offset",
+}

@@ -1,0 +1,153 @@
+"""What the model knows of an arm's links: standard Denavit-Hartenberg rows and, where known, their inertia.
+
+Frame i is fixed to link i at its far end; joint i (from 1) turns about z of frame i − 1, so that
+T = Rot_z(q)·Trans_z(d)·Trans_x(a)·Rot_x(alpha) leads from frame i − 1 to frame i (eq. 4.20 of the
+reference text, whose print has two slips).
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from math import pi
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from labhil.errors import RigFileError
+from labhil.kinds import JOINTS
+from labhil.rig import explain
+from labhil.signals import FloatArray
+
+PER_LINK = 10
+"""Inertial parameters of a link: m, m·c (x y z), inertia about the frame's origin (xx yy zz xy xz yz)."""
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Moment = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class JointRow(BaseModel):
+    """One ``[[joint]]``: ``d`` and ``a`` m, ``alpha`` rad; the link behind it: kg, m, kg·m² at its centre."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    d: Number
+    a: Number
+    alpha: Number
+    mass: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    centre: tuple[Number, Number, Number] | None = None
+    inertia: tuple[Moment, Moment, Moment, Number, Number, Number] | None = None
+
+    @model_validator(mode="after")
+    def _all_or_none(self) -> JointRow:
+        given = {"mass": self.mass, "centre": self.centre, "inertia": self.inertia}
+        missing = [name for name, value in given.items() if value is None]
+        if 0 < len(missing) < len(given):
+            raise ValueError(
+                f"{' and '.join(missing)} missing: give mass, centre and inertia together, or none of them"
+            )
+        return self
+
+
+class LinksFile(BaseModel):
+    """A whole table of links."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    joint: tuple[JointRow, ...]
+
+    @model_validator(mode="after")
+    def _six_alike(self) -> LinksFile:
+        if len(self.joint) != JOINTS:
+            raise ValueError(f"expected {JOINTS} tables [[joint]], found {len(self.joint)}")
+        with_mass = [j for j, row in enumerate(self.joint) if row.mass is not None]
+        if 0 < len(with_mass) < JOINTS:
+            without = sorted(set(range(JOINTS)) - set(with_mass))
+            raise ValueError(
+                f"joints {', '.join(map(str, without))} (from 0) have no mass, the others do: "
+                "give all six, or none to have the identifiable combinations estimated"
+            )
+        return self
+
+
+@dataclass(frozen=True, slots=True)
+class Links:
+    """Geometry ``d``, ``a`` m, ``alpha`` rad (6,) each, and ``inertial`` (60,) SI, None where not known."""
+
+    d: FloatArray
+    a: FloatArray
+    alpha: FloatArray
+    inertial: FloatArray | None
+
+    @classmethod
+    def of(cls, rows: tuple[JointRow, ...]) -> Links:
+        """Take six rows, in order from the base."""
+        known = [inertial_of(row.mass, row.centre, row.inertia) for row in rows if row.mass is not None
+                 and row.centre is not None and row.inertia is not None]  # fmt: skip
+        return cls(
+            np.array([row.d for row in rows]),
+            np.array([row.a for row in rows]),
+            np.array([row.alpha for row in rows]),
+            np.concatenate(known) if known else None,
+        )
+
+
+def inertial_of(
+    mass: float, centre: tuple[float, ...], inertia: tuple[float, ...] = (0.0,) * 6
+) -> FloatArray:
+    """m, m·c and the inertia about the frame's origin (10,) from those at the centre (Steiner)."""
+    x, y, z = centre
+    xx, yy, zz, xy, xz, yz = inertia
+    return np.array(
+        [
+            mass,
+            mass * x,
+            mass * y,
+            mass * z,
+            xx + mass * (y * y + z * z),
+            yy + mass * (x * x + z * z),
+            zz + mass * (x * x + y * y),
+            xy - mass * x * y,
+            xz - mass * x * z,
+            yz - mass * y * z,
+        ]
+    )
+
+
+def load_links(path: Path) -> Links:
+    """Read a table of links; RigFileError names the file, the joint's field and what was expected."""
+    try:
+        data: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise RigFileError(f"{path}: cannot be read as a table of links (TOML): {error}") from error
+    except tomllib.TOMLDecodeError as error:
+        raise RigFileError(f"{path}: not TOML: {error}") from error
+    try:
+        return Links.of(LinksFile.model_validate(data).joint)
+    except ValidationError as error:
+        raise RigFileError(explain(error, path, LinksFile)) from error
+
+
+def _row(
+    lengths: tuple[float, float, float],
+    mass: float,
+    centre: tuple[float, float, float],
+    axes: tuple[float, float, float],
+) -> JointRow:
+    d, a, alpha = lengths
+    return JointRow(d=d, a=a, alpha=alpha, mass=mass, centre=centre, inertia=(*axes, 0.0, 0.0, 0.0))
+
+
+UR5 = Links.of(
+    (
+        _row((0.089159, 0.0, pi / 2), 3.7, (0.0, -0.02561, 0.00193), (0.0085, 0.0064, 0.0085)),
+        _row((0.0, -0.425, 0.0), 8.393, (0.2125, 0.0, 0.11336), (0.0085, 0.212, 0.212)),
+        _row((0.0, -0.39225, 0.0), 2.33, (0.15, 0.0, 0.0265), (0.0017, 0.0473, 0.0473)),
+        _row((0.10915, 0.0, pi / 2), 1.219, (0.0, -0.0018, 0.01634), (0.0018, 0.0018, 0.0014)),
+        _row((0.09465, 0.0, -pi / 2), 1.219, (0.0, 0.0018, 0.01634), (0.0018, 0.0018, 0.0014)),
+        _row((0.0823, 0.0, 0.0), 0.1879, (0.0, 0.0, -0.001159), (0.00008, 0.00008, 0.00013)),
+    )
+)
+"""The manufacturer's UR5: tables 4.1 and 4.2 and equations 4.54 to 4.59 of the reference text."""

@@ -1,0 +1,321 @@
+"""The arm as it is fitted: currents of six joints by inverse dynamics.
+
+i_j = (1 + g_j)·τ_j(t − T_d)/K_j + i_0j, with τ = Y(q, q̇, q̈; gravity)·π + friction and other joint laws.
+Equations 4.19 to 4.64 of the reference text, with a recursion in the place of its symbolic matrices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from labhil.errors import UnknownNameError
+from labhil.kinds import JOINTS
+from labhil.physics.arm.catalogue import NEVER_SEEN, Sizes, catalogue
+from labhil.physics.arm.first_estimate import FirstEstimate, first_estimate
+from labhil.physics.arm.grouped import grouped
+from labhil.physics.arm.joint_laws import LAWS, JointMotion, directions
+from labhil.physics.arm.links import PER_LINK, UR5, inertial_of, load_links
+from labhil.physics.arm.motion import Motion, PreparedRecord, as_it_is, cut_off_of, prepared, temperatures
+from labhil.physics.arm.rigid_body import upright
+from labhil.physics.arm.view import Remembered, View
+from labhil.physics.model import Metric, Record, Windows, index_of
+from labhil.physics.terms import Parameter, Term, Yardstick, keyed
+from labhil.rig import RigFile
+from labhil.signals import FloatArray
+
+TYPICAL_CONSTANT = 11.0
+"""N·m/A with the gear ratio: about 0.11 N·m/A at the motor times 101."""
+
+LOAD = "load_dependent_friction.coefficient"
+OFFSET = "sensor_offset.offset"
+GAIN = "torque_constant.gain"
+COMPLIANCE = "joint_elasticity.compliance"
+LENGTH = "presliding_friction.length"
+WHOLE_ARM = ("payload", "base_tilt", "clock_offset")
+LAST = slice((JOINTS - 1) * PER_LINK, JOINTS * PER_LINK)
+
+
+class ArmModel:
+    """The white-box model of one six-jointed arm (satisfies ``physics.model.Model``).
+
+    Driven by ``actual_q`` and ``actual_qd``; gives the six currents. The rig file's ``links`` (default: the
+    manufacturer's UR5) give lengths and, where known, inertia; where that is absent, grouped inertial
+    parameters are estimated. Without ``torque_constant`` that is estimated too, against the known inertia;
+    with neither known, a common factor of both remains free, and the statistics say so.
+    """
+
+    kind = "ur5"
+    metric = Metric.INVERSE_DYNAMICS
+    state_names: tuple[str, ...] = ()
+    state_scale = np.empty(0)
+    forgets = True
+
+    def __init__(self, rig: RigFile, record: Record | None = None) -> None:
+        path = rig.known_path("links")
+        self.links = UR5 if path is None else load_links(path)
+        known = rig.known_numbers("torque_constant")
+        self._constant = np.full(JOINTS, TYPICAL_CONSTANT) if known is None else np.array(known)
+        self.fixed = {} if known is None else {keyed("torque_constant", j): k for j, k in enumerate(known)}
+        self.cut_off = cut_off_of(record)
+        self.horizon = rig.metric.horizon or 1.0
+        sizes = Sizes.of(record, self._constant)
+        warm = None if record is None else temperatures(record)
+        self._temperature = np.zeros(JOINTS) if warm is None else warm.mean(axis=0)
+        self._seen: Remembered[tuple[FloatArray, Motion, np.ndarray]] = Remembered(4)
+        self._views: Remembered[View] = Remembered(8)
+        self.first = self._first(record)
+        everything = catalogue(sizes)
+        self.never_seen = dict(NEVER_SEEN) | self._absent(everything, record is None or warm is not None)
+        self.terms: Mapping[str, Term] = {k: t for k, t in everything.items() if k not in self.never_seen}
+        self.parameters = self._own() + tuple(p for term in self.terms.values() for p in term.parameters)
+        self._index = index_of(self.parameters)
+        self._six = {name: self._places(name) for name in {p.name for p in self.parameters}}
+
+    def _absent(self, everything: Mapping[str, Term], warm: bool) -> dict[str, str]:
+        reasons = {
+            key: f"needs {', '.join(term.needs)}"
+            for key, term in everything.items()
+            if term.needs and not warm
+        }
+        if not self.fixed:
+            reason = "torque_constant is not known, and so estimated anyway"
+            reasons |= {keyed("torque_constant", joint): reason for joint in range(JOINTS)}
+        return reasons
+
+    def _first(self, record: Record | None) -> FirstEstimate | None:
+        """What a record says of the inertia before anything is fitted; None where the links' is known."""
+        if self.links.inertial is not None:
+            return None
+        if record is None:
+            every = grouped(self.links)
+            return FirstEstimate(every, np.zeros(len(every.kept)), np.ones(len(every.kept)))
+        ready = self.prepare(record)
+        return first_estimate(self.links, ready, self._view(ready, 0.0), self._constant)
+
+    def _own(self) -> tuple[Parameter, ...]:
+        """Torque constants and grouped inertial parameters, where they are to be estimated."""
+        constants = () if self.fixed else tuple(
+            Parameter("torque_constant", "N·m/A", TYPICAL_CONSTANT, 0.01, 1e3, starts=(TYPICAL_CONSTANT,),
+                      joint=joint)
+            for joint in range(JOINTS)
+        )  # fmt: skip
+        if self.first is None:
+            return constants
+        sizes = np.maximum(np.abs(self.first.values), self.first.errors)
+        return constants + tuple(
+            Parameter(name, unit, float(size), starts=(float(value),), linear=True, joint=link)
+            for (name, unit, link), value, size in zip(
+                self.first.grouped.names(), self.first.values, sizes, strict=True
+            )
+        )
+
+    @property
+    def combinations(self) -> Mapping[str, str]:
+        """What each grouped inertial parameter stands for, by key (links count from 0)."""
+        if self.first is None:
+            return {}
+        names = [keyed(name, link) for name, _, link in self.first.grouped.names()]
+        return dict(zip(names, self.first.grouped.combinations, strict=True))
+
+    @property
+    def blocks(self) -> Mapping[str, tuple[int, ...]]:
+        """Which joints' currents each parameter touches, by key."""
+        found = {}
+        for p in self.parameters:
+            alone = p.joint is not None and not p.name.startswith("grouped_") and p.name != COMPLIANCE
+            # an inertial parameter loads the joints from the base to its own link
+            reach = range(p.joint + 1) if p.joint is not None and p.name != COMPLIANCE else range(JOINTS)
+            found[p.key] = (p.joint,) if alone and p.joint is not None else tuple(reach)
+        return found
+
+    def horizon_at(self, theta: FloatArray) -> float:
+        """Has no part in inverse dynamics; the gap before held-out data, s."""
+        return self.horizon
+
+    def prepare(self, record: Record) -> PreparedRecord:
+        """Filter and thin out, see ``physics.arm.motion``; RecordingError when nothing moves."""
+        return record if isinstance(record, PreparedRecord) else prepared(record, self.cut_off)
+
+    def initial_states(self, record: Record, windows: Windows) -> FloatArray:
+        """There are none: (w, 0)."""
+        return np.empty((len(windows), 0))
+
+    def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
+        """Currents of six joints in A, (N, 6); the measured one where a joint rests, which is not judged."""
+        current = self._gain(theta) * self._torques(theta, record) + self._of_joints(theta, OFFSET)
+        _, motion, rows = self._motion(record)
+        return np.where(motion.judged[rows], current, record.outputs)[windows.rows]
+
+    def regressor(self, theta: FloatArray, record: Record, free_keys: Sequence[str]) -> FloatArray:
+        """Exact slopes of :meth:`simulate` over a whole record by linear parameters, (N·6, P), A per unit.
+
+        Raises UnknownNameError for a key that is not a linear parameter of this model.
+        """
+        linear = {p.key: p for p in self.parameters if p.linear}
+        _, motion, rows = self._motion(record)
+        out = np.zeros((len(rows), JOINTS, len(free_keys)))
+        for i, key in enumerate(free_keys):
+            if key not in linear:
+                raise UnknownNameError("linear parameter of ur5", key, linear)
+            self._slope(theta, record, linear[key], out[:, :, i])
+        out *= motion.judged[rows][:, :, None]
+        return out.reshape(-1, len(free_keys))
+
+    def coordinates(
+        self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
+    ) -> Mapping[str, FloatArray]:
+        """Angle, velocity, acceleration, rigid-body torque (``load``), temperature of each joint, (N,)."""
+        _, motion, rows = self._motion(record)
+        at = rows[windows.rows]
+        load = self._rigid(theta, record)[windows.rows]
+        columns = {
+            "actual_q": motion.q[at],
+            "actual_qd": motion.qd[at],
+            "acceleration": motion.qdd[at],
+            "load": load,
+            "joint_temperatures": motion.temperature[at],
+        }
+        return {f"{name}_{j}": values[:, j] for name, values in columns.items() for j in range(JOINTS)}
+
+    def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
+        """Torque of each joint's drive at these coordinates in N·m, (N, 6), dry friction by sgn q̇."""
+        return np.column_stack([self._effort(theta, coordinates, joint) for joint in range(JOINTS)])
+
+    def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
+        """Starts are in units of their own: joints differ in size."""
+        return dict.fromkeys(Yardstick, 1.0)
+
+    # What follows reads values out of theta and puts columns together.
+
+    def _places(self, name: str) -> np.ndarray:
+        """Where the parameter stands in theta for each joint (6,); −1 where a joint has none."""
+        return np.array([self._index.get(keyed(name, joint), -1) for joint in range(JOINTS)])
+
+    def _of_joints(self, theta: FloatArray, name: str) -> FloatArray:
+        """A parameter's values (6,); zero where a joint has none."""
+        places = self._six.get(name)
+        return np.zeros(JOINTS) if places is None else np.where(places >= 0, theta[places], 0.0)
+
+    def _number(self, theta: FloatArray, name: str) -> float:
+        return float(theta[self._index[name]])
+
+    def _gain(self, theta: FloatArray) -> FloatArray:
+        """Current per torque (6,), A/(N·m)."""
+        constant = self._constant if self.fixed else self._of_joints(theta, "torque_constant")
+        return np.asarray((1.0 + self._of_joints(theta, GAIN)) / constant)
+
+    def _gravity(self, theta: FloatArray) -> FloatArray:
+        return upright(self._number(theta, "base_tilt.roll"), self._number(theta, "base_tilt.pitch"))
+
+    def _payload(self, theta: FloatArray) -> FloatArray:
+        """Inertial parameters (60,) that the payload adds."""
+        out = np.zeros(JOINTS * PER_LINK)
+        centre = tuple(self._number(theta, f"payload.centre_{axis}") for axis in "xyz")
+        out[LAST] = inertial_of(self._number(theta, "payload.mass"), centre)
+        return out
+
+    def _inertial(self, theta: FloatArray) -> FloatArray:
+        """Inertial parameters (60,) of the arm with its payload."""
+        if self.first is None:
+            return self._load_inertial(theta)
+        names = [keyed(name, link) for name, _, link in self.first.grouped.names()]
+        values = theta[[self._index[name] for name in names]]
+        return self.first.grouped.embedded(values) + self._payload(theta)
+
+    def _load_inertial(self, theta: FloatArray) -> FloatArray:
+        """Inertial parameters (60,) of the load on the gears: the known ones or the first estimate's."""
+        known = self.links.inertial
+        if known is None:
+            assert self.first is not None
+            known = self.first.grouped.embedded(self.first.values)
+        return np.asarray(known + self._payload(theta))
+
+    def _motion(self, record: Record) -> tuple[FloatArray, Motion, np.ndarray]:
+        """The record's inputs, the motion behind them and the places of its rows there, remembered."""
+        # records of the same inputs share their motion: a bootstrap replaces outputs only
+        key = id(record.inputs)
+        found = self._seen.of(key, lambda: self._looked_at(record))
+        if found[0] is not record.inputs:
+            self._seen.forget(key)
+            found = self._seen.of(key, lambda: self._looked_at(record))
+        return found
+
+    def _looked_at(self, record: Record) -> tuple[FloatArray, Motion, np.ndarray]:
+        if isinstance(record, PreparedRecord) and record.motion is not None:
+            return record.inputs, record.motion, record.places
+        return record.inputs, as_it_is(record), np.arange(len(record))
+
+    def _view(self, record: Record, delay: float) -> View:
+        inputs, motion, rows = self._motion(record)
+        view = self._views.of(
+            (id(inputs), delay), lambda: View(self.links, motion, rows, self._temperature, delay)
+        )
+        if view.rows is not rows:
+            self._views.forget((id(inputs), delay))
+            return self._view(record, delay)
+        return view
+
+    def _now(self, theta: FloatArray, record: Record) -> View:
+        return self._view(record, self._number(theta, "clock_offset.offset"))
+
+    def _rigid_regressor(self, theta: FloatArray, record: Record) -> FloatArray:
+        view, gravity = self._now(theta, record), self._gravity(theta)
+        compliance = self._of_joints(theta, COMPLIANCE)
+        if not np.any(compliance):
+            return view.rigid(gravity)
+        return view.bent(compliance, self._load_inertial(theta), gravity)
+
+    def _rigid(self, theta: FloatArray, record: Record) -> FloatArray:
+        return np.asarray(self._rigid_regressor(theta, record) @ self._inertial(theta))
+
+    def _torques(self, theta: FloatArray, record: Record) -> FloatArray:
+        """Torques of the drives (n, 6), N·m."""
+        view = self._now(theta, record)
+        torques = self._rigid(theta, record)
+        for name in LAWS:
+            for joint, level in enumerate(self._of_joints(theta, name)):
+                if level:
+                    torques[:, joint] += level * self._law(theta, view, joint, name)
+        for joint, share in enumerate(self._of_joints(theta, LOAD)):
+            if share:
+                torques[:, joint] += share * self._load(theta, view, joint)
+        return torques
+
+    def _law(self, theta: FloatArray, view: View, joint: int, name: str) -> FloatArray:
+        shaped_by = LAWS[name].shaped_by
+        shape = self._of_joints(theta, shaped_by)[joint] if shaped_by else 0.0
+        return view.law(joint, name, float(shape), float(self._of_joints(theta, LENGTH)[joint]))
+
+    def _load(self, theta: FloatArray, view: View, joint: int) -> FloatArray:
+        length = float(self._of_joints(theta, LENGTH)[joint])
+        return view.load(joint, length, self._load_inertial(theta), self._gravity(theta))
+
+    def _slope(self, theta: FloatArray, record: Record, parameter: Parameter, out: FloatArray) -> None:
+        """Fill ``out`` (n, 6) with A per unit of one linear parameter."""
+        view, gain, joint = self._now(theta, record), self._gain(theta), parameter.joint
+        assert joint is not None
+        if parameter.name == OFFSET:
+            out[:, joint] = 1.0
+        elif parameter.name == LOAD:
+            out[:, joint] = gain[joint] * self._load(theta, view, joint)
+        elif parameter.name in LAWS:
+            out[:, joint] = gain[joint] * self._law(theta, view, joint, parameter.name)
+        else:
+            assert self.first is not None
+            one = self.first.grouped.column(parameter.name, joint)
+            out[:] = gain * self._rigid_regressor(theta, record)[:, :, one]
+
+    def _effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray], joint: int) -> FloatArray:
+        q, qd = coordinates[f"actual_q_{joint}"], coordinates[f"actual_qd_{joint}"]
+        load, s = coordinates[f"load_{joint}"], directions(q, qd, 0.0)
+        warmer = coordinates[f"joint_temperatures_{joint}"] - self._temperature[joint]
+        torque = load + self._of_joints(theta, LOAD)[joint] * np.abs(load) * s
+        for name, law in LAWS.items():
+            level = self._of_joints(theta, name)[joint]
+            if level:
+                shape = float(self._of_joints(theta, law.shaped_by)[joint]) if law.shaped_by else 0.0
+                at = JointMotion(q, qd, coordinates[f"acceleration_{joint}"], warmer, s, shape)
+                torque = torque + level * law.column(at)
+        return torque

@@ -1,0 +1,186 @@
+"""The motion behind an arm's record: even raster, one zero-phase low-pass for everything, accelerations.
+
+Angles, velocities and currents pass the same filter (parallel filtering: what it does to a current it also
+does to the model of that current). It is a fourth-order Butterworth low-pass run forwards and backwards;
+its cut-off is ten times the frequency below which 99 % of the velocities' power lies, between 8 Hz and a
+third of the sampling rate. Accelerations are central differences of the filtered velocities. Laws with a
+step (dry friction, ripple) are computed at the full rate and then filtered too. What is kept is every so
+many samples, 2.5 times the cut-off per second, so that neighbours know little of each other.
+
+Where a joint rests, dry friction takes any value within its level and no model can tell the current:
+such samples (|q̇| below ``REST`` within the filter's reach) are not judged. Where all joints rest,
+near the ends, and where samples are missing, nothing is kept at all.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy import signal
+
+from labhil.errors import RecordingError
+from labhil.kinds import JOINTS
+from labhil.physics.model import Record
+from labhil.signals import FloatArray
+
+REST = 0.01
+"""rad/s; a joint that is slower is taken to be at rest."""
+
+LOWEST_CUT_OFF = 8.0
+HIGHEST_SHARE = 1.0 / 3.0
+BANDWIDTHS = 10.0
+POWER = 0.99
+KEPT_PER_CUT_OFF = 2.5
+GAP = 2.5
+"""A place farther than this many periods from both neighbours' span is missing."""
+
+PLACE = "sample_of_motion"
+"""Auxiliary channel of a prepared record: where each of its rows stands in the motion."""
+
+FEWEST = 30
+
+
+@dataclass(frozen=True, slots=True)
+class LowPass:
+    """A zero-phase low-pass at ``cut_off`` Hz for samples every ``period`` s."""
+
+    cut_off: float
+    period: float
+
+    @property
+    def reach(self) -> int:
+        """Samples on either side that a sample is made of, for the most part."""
+        return max(1, round(0.35 / (self.cut_off * self.period)))
+
+    def __call__(self, columns: FloatArray) -> FloatArray:
+        """Filter columns (n, …) along time."""
+        sections = signal.butter(4, 2.0 * self.cut_off * self.period, output="sos")
+        return np.asarray(signal.sosfiltfilt(sections, columns, axis=0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """Filtered angles, velocities, accelerations, temperatures (n, 6) at ``t`` (n,), evenly spaced.
+
+    ``judged`` (n, 6) tells where a joint moves; ``low_pass`` is None for a record that was not prepared.
+    """
+
+    t: FloatArray
+    q: FloatArray
+    qd: FloatArray
+    qdd: FloatArray
+    temperature: FloatArray
+    judged: np.ndarray
+    low_pass: LowPass | None
+
+    def filtered(self, columns: FloatArray) -> FloatArray:
+        """Columns (n, …) after the filter that the currents passed."""
+        return columns if self.low_pass is None else self.low_pass(columns)
+
+
+@dataclass(frozen=True, slots=True)
+class PreparedRecord(Record):
+    """A record that was filtered and thinned out, with the motion that it was made of."""
+
+    motion: Motion | None = field(default=None, compare=False)
+
+    @property
+    def places(self) -> np.ndarray:
+        """Where each row stands in the motion, (n,)."""
+        return np.asarray(np.rint(self.auxiliary[PLACE]), dtype=np.int64)
+
+
+def cut_off_of(record: Record | None) -> float:
+    """Cut-off (Hz) that leaves the trajectory of a record alone."""
+    if record is None or len(record) < FEWEST:
+        return LOWEST_CUT_OFF
+    period = record.period
+    grid = np.arange(record.t[0], record.t[-1], period)
+    velocities = [np.interp(grid, record.t, c) for c in record.inputs[:, JOINTS : 2 * JOINTS].T]
+    power = np.sum([np.abs(np.fft.rfft(v * np.hanning(len(v)))) ** 2 for v in velocities], axis=0)
+    frequency = np.fft.rfftfreq(len(grid), period)
+    share = np.cumsum(power) / max(float(np.sum(power)), 1e-300)
+    edge = float(frequency[min(int(np.searchsorted(share, POWER)), len(frequency) - 1)])
+    return float(np.clip(BANDWIDTHS * edge, LOWEST_CUT_OFF, max(HIGHEST_SHARE / period, LOWEST_CUT_OFF)))
+
+
+def as_it_is(record: Record) -> Motion:
+    """The motion of a record that was not prepared: nothing filtered, accelerations by differences."""
+    q, qd = record.inputs[:, :JOINTS], record.inputs[:, JOINTS : 2 * JOINTS]
+    qdd = np.gradient(qd, record.t, axis=0)
+    return Motion(record.t, q, qd, qdd, _warmth(record), np.ones(q.shape, dtype=bool), None)
+
+
+def prepared(record: Record, cut_off: float) -> PreparedRecord:
+    """Filter a record and keep what can be judged; RecordingError when nothing moves for long enough."""
+    period = record.period
+    grid = record.t[0] + period * np.arange(int((record.t[-1] - record.t[0]) / period + 1e-6) + 1)
+    low_pass = LowPass(min(cut_off, 0.45 / period), period)
+    if len(grid) < FEWEST:
+        raise RecordingError(f"too short for inverse dynamics: {len(grid)} samples, at least {FEWEST} needed")
+    inputs, outputs = _on(grid, record.t, record.inputs), _on(grid, record.t, record.outputs)
+    auxiliary = {name: np.interp(grid, record.t, x) for name, x in record.auxiliary.items()}
+    even = replace(record, t=grid, inputs=inputs, outputs=outputs, auxiliary=auxiliary)
+    q, qd = low_pass(inputs[:, :JOINTS]), low_pass(inputs[:, JOINTS : 2 * JOINTS])
+    qdd = np.gradient(qd, period, axis=0)
+    moving = _eroded(np.abs(qd) > REST, low_pass.reach)
+    motion = Motion(grid, q, qd, qdd, low_pass(_warmth(even)), moving, low_pass)
+    rows = _kept(record.t, motion)
+    if len(rows) < FEWEST:
+        raise RecordingError(
+            f"too little motion for inverse dynamics: {len(rows)} samples are left where a joint moves "
+            f"faster than {REST:g} rad/s, at least {FEWEST} are needed"
+        )
+    inputs[:, :JOINTS], inputs[:, JOINTS : 2 * JOINTS] = q, qd
+    return PreparedRecord(
+        t=grid[rows],
+        inputs=inputs[rows],
+        outputs=low_pass(outputs)[rows],
+        input_names=record.input_names,
+        output_names=record.output_names,
+        output_units=record.output_units,
+        input_holds=record.input_holds,
+        auxiliary={n: x[rows] for n, x in auxiliary.items()} | {PLACE: rows.astype(np.float64)},
+        output_joints=record.output_joints,
+        motion=motion,
+    )
+
+
+def _kept(t: FloatArray, motion: Motion) -> np.ndarray:
+    """Samples to keep: thinned out, away from ends and gaps, where at least one joint moves."""
+    low_pass = motion.low_pass
+    assert low_pass is not None
+    every = max(1, round(1.0 / (KEPT_PER_CUT_OFF * low_pass.cut_off * low_pass.period)))
+    after = np.clip(np.searchsorted(t, motion.t), 1, len(t) - 1)
+    there = _eroded((t[after] - t[after - 1] < GAP * low_pass.period)[:, None], low_pass.reach)[:, 0]
+    there[: 3 * low_pass.reach] = there[-3 * low_pass.reach :] = False
+    keep = there & motion.judged.any(axis=1)
+    rows = np.arange(0, len(keep), every)
+    return np.asarray(rows[keep[rows]])
+
+
+def _eroded(flags: np.ndarray, reach: int) -> np.ndarray:
+    """Flags (n, k) that hold within ``reach`` samples on both sides too."""
+    wrong = np.cumsum(np.vstack([np.zeros((1, flags.shape[1]), dtype=np.int64), ~flags]), axis=0)
+    n = len(flags)
+    low = np.maximum(np.arange(n) - reach, 0)
+    high = np.minimum(np.arange(n) + reach + 1, n)
+    return np.asarray(wrong[high] == wrong[low])
+
+
+def _on(grid: FloatArray, t: FloatArray, columns: FloatArray) -> FloatArray:
+    return np.column_stack([np.interp(grid, t, column) for column in columns.T])
+
+
+def temperatures(record: Record) -> FloatArray | None:
+    """Joint temperatures (n, 6) °C of a record; None where it has none."""
+    names = [f"joint_temperatures_{j}" for j in range(JOINTS)]
+    if not all(name in record.auxiliary for name in names):
+        return None
+    return np.column_stack([record.auxiliary[name] for name in names])
+
+
+def _warmth(record: Record) -> FloatArray:
+    found = temperatures(record)
+    return np.zeros((len(record), JOINTS)) if found is None else found

@@ -1,0 +1,135 @@
+"""Torques of the rigid arm, linear in its links' inertial parameters: τ = Y(q, q̇, q̈; g)·π.
+
+Newton's and Euler's equations of each link about the origin of its own frame, carried down to the base
+(Atkeson, An and Hollerbach 1986). π holds ten numbers a link: m, m·c_x, m·c_y, m·c_z, I_xx, I_yy, I_zz,
+I_xy, I_xz, I_yz, the inertia about the origin of the link's frame. Nothing is differentiated: products
+of inertia and Coriolis terms come out of the recursion.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from labhil.compiled import compiled
+from labhil.kinds import JOINTS
+from labhil.physics.arm.links import PER_LINK, Links
+from labhil.signals import FloatArray
+
+GRAVITY = 9.81
+"""m/s²."""
+
+
+def upright(roll: float = 0.0, pitch: float = 0.0) -> FloatArray:
+    """Gravity (3,) m/s² in the frame of a base that is rolled about x, then pitched about the floor's y."""
+    level = GRAVITY * np.cos(pitch)
+    return np.array([GRAVITY * np.sin(pitch), -level * np.sin(roll), -level * np.cos(roll)])
+
+
+def regressor(
+    links: Links, q: FloatArray, qd: FloatArray, qdd: FloatArray, gravity: FloatArray
+) -> FloatArray:
+    """Y (n, 6, 60) of a motion (n, 6) in rad, rad/s, rad/s²; ``gravity`` (3,) m/s² in the base's frame."""
+    out = np.zeros((len(q), JOINTS, JOINTS * PER_LINK))
+    q, qd, qdd = np.ascontiguousarray(q), np.ascontiguousarray(qd), np.ascontiguousarray(qdd)
+    columns_of_links(links.d, links.a, links.alpha, q, qd, qdd, gravity, out)
+    return out
+
+
+@compiled
+def columns_of_links(
+    d: FloatArray,
+    a: FloatArray,
+    alpha: FloatArray,
+    q: FloatArray,
+    qd: FloatArray,
+    qdd: FloatArray,
+    gravity: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Fill ``out`` (n, 6, 60), zero before; see :func:`regressor`."""
+    rotation = np.empty((6, 3, 3))
+    step = np.empty((6, 3))
+    w, dw, acc = np.empty(3), np.empty(3), np.empty(3)
+    wrench = np.empty((6, 10))
+    for n in range(q.shape[0]):
+        w[:] = 0.0
+        dw[:] = 0.0
+        for k in range(3):
+            acc[k] = -gravity[k]
+        for i in range(6):
+            _turn(q[n, i], alpha[i], rotation[i])
+            step[i, 0] = a[i]
+            step[i, 1] = d[i] * np.sin(alpha[i])
+            step[i, 2] = d[i] * np.cos(alpha[i])
+            _next(rotation[i], step[i], qd[n, i], qdd[n, i], w, dw, acc)
+            _newton_euler(w, dw, acc, wrench)
+            for j in range(i, -1, -1):
+                _carry(rotation[j], step[j], wrench)
+                for c in range(10):
+                    out[n, j, 10 * i + c] = wrench[5, c]
+
+
+@compiled
+def _turn(q: float, alpha: float, rotation: FloatArray) -> None:
+    """Rotation of frame i as seen from frame i − 1."""
+    cq, sq, ca, sa = np.cos(q), np.sin(q), np.cos(alpha), np.sin(alpha)
+    rotation[0, 0], rotation[0, 1], rotation[0, 2] = cq, -sq * ca, sq * sa
+    rotation[1, 0], rotation[1, 1], rotation[1, 2] = sq, cq * ca, -cq * sa
+    rotation[2, 0], rotation[2, 1], rotation[2, 2] = 0.0, sa, ca
+
+
+@compiled
+def _next(
+    r: FloatArray, p: FloatArray, qd: float, qdd: float, w: FloatArray, dw: FloatArray, acc: FloatArray
+) -> None:
+    """From frame i − 1 to frame i, in place: angular velocity and acceleration, the origin's acceleration."""
+    x, y, z = dw[0] + w[1] * qd, dw[1] - w[0] * qd, dw[2] + qdd
+    u, v, s = w[0], w[1], w[2] + qd
+    f, g, h = acc[0], acc[1], acc[2]
+    for k in range(3):
+        w[k] = r[0, k] * u + r[1, k] * v + r[2, k] * s
+        dw[k] = r[0, k] * x + r[1, k] * y + r[2, k] * z
+        acc[k] = r[0, k] * f + r[1, k] * g + r[2, k] * h
+    dot = w[0] * p[0] + w[1] * p[1] + w[2] * p[2]
+    square = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
+    acc[0] += dw[1] * p[2] - dw[2] * p[1] + w[0] * dot - p[0] * square
+    acc[1] += dw[2] * p[0] - dw[0] * p[2] + w[1] * dot - p[1] * square
+    acc[2] += dw[0] * p[1] - dw[1] * p[0] + w[2] * dot - p[2] * square
+
+
+@compiled
+def _newton_euler(w: FloatArray, dw: FloatArray, acc: FloatArray, wrench: FloatArray) -> None:
+    """Force (rows 0–2) and moment about the frame's origin (rows 3–5) by each of the ten parameters."""
+    wx, wy, wz = w[0], w[1], w[2]
+    bx, by, bz = dw[0], dw[1], dw[2]
+    wrench[:] = 0.0
+    for k in range(3):
+        wrench[k, 0] = acc[k]
+    wrench[0, 1], wrench[0, 2], wrench[0, 3] = -wy * wy - wz * wz, wx * wy - bz, wx * wz + by
+    wrench[1, 1], wrench[1, 2], wrench[1, 3] = wx * wy + bz, -wx * wx - wz * wz, wy * wz - bx
+    wrench[2, 1], wrench[2, 2], wrench[2, 3] = wx * wz - by, wy * wz + bx, -wx * wx - wy * wy
+    wrench[3, 2], wrench[3, 3] = acc[2], -acc[1]
+    wrench[4, 1], wrench[4, 3] = -acc[2], acc[0]
+    wrench[5, 1], wrench[5, 2] = acc[1], -acc[0]
+    wrench[3, 4], wrench[3, 5], wrench[3, 6] = bx, -wy * wz, wy * wz
+    wrench[4, 4], wrench[4, 5], wrench[4, 6] = wx * wz, by, -wx * wz
+    wrench[5, 4], wrench[5, 5], wrench[5, 6] = -wx * wy, wx * wy, bz
+    wrench[3, 7], wrench[3, 8], wrench[3, 9] = by - wx * wz, bz + wx * wy, wy * wy - wz * wz
+    wrench[4, 7], wrench[4, 8], wrench[4, 9] = bx + wy * wz, wz * wz - wx * wx, bz - wx * wy
+    wrench[5, 7], wrench[5, 8], wrench[5, 9] = wx * wx - wy * wy, bx - wy * wz, by + wx * wz
+
+
+@compiled
+def _carry(r: FloatArray, p: FloatArray, wrench: FloatArray) -> None:
+    """Turn forces and moments about the origin of frame j into those about the origin of frame j − 1.
+
+    Row 5 is then the moment about that frame's z axis, which is the axis of joint j.
+    """
+    for c in range(10):
+        f, g, h = wrench[0, c], wrench[1, c], wrench[2, c]
+        x = wrench[3, c] + p[1] * h - p[2] * g
+        y = wrench[4, c] + p[2] * f - p[0] * h
+        z = wrench[5, c] + p[0] * g - p[1] * f
+        for k in range(3):
+            wrench[k, c] = r[k, 0] * f + r[k, 1] * g + r[k, 2] * h
+            wrench[3 + k, c] = r[k, 0] * x + r[k, 1] * y + r[k, 2] * z
