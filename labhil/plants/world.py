@@ -1,0 +1,112 @@
+"""What a simulated rig can be made of: a bare rig's numbers, effects by name, and what fits together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from labhil.errors import UnknownNameError, UsageError
+from labhil.plants.effects import Effect
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """``bare`` maps a rig's parameters to defaults (SI); ``effects`` are what may be added by name.
+
+    ``hidden`` effects are in no list of names: they are for trials with physics that nobody expects.
+    ``positive`` names must be larger than zero.
+    """
+
+    bare: Mapping[str, float]
+    effects: Mapping[str, Effect]
+    positive: frozenset[str]
+    hidden: Mapping[str, Effect]
+
+    def parameters_of(self, effect: str) -> dict[str, float]:
+        """The effect's parameters by full name (``effect.parameter``) with their defaults."""
+        found = self.effects.get(effect) or self.hidden[effect]
+        return {f"{effect}.{name}": value for name, value in found.parameters.items()}
+
+    def all_parameters(self) -> dict[str, float]:
+        """Every parameter that the plant takes, with its default (SI); hidden effects' too."""
+        named = [self.parameters_of(effect) for effect in (*self.effects, *self.hidden)]
+        return dict(self.bare) | {name: value for group in named for name, value in group.items()}
+
+    def resolve(self, terms: Iterable[str], overrides: Mapping[str, float]) -> dict[str, float]:
+        """The parameters in force: the bare rig's and those of the effects in ``terms``.
+
+        UnknownNameError for an effect or a parameter that does not exist; UsageError for the parameter of
+        an effect that is not among ``terms``, and for values that make no world.
+        """
+        chosen = tuple(terms)
+        values = dict(self.bare)
+        for term in chosen:
+            if term not in self.effects and term not in self.hidden:
+                raise UnknownNameError("effect", term, self.effects)
+            values |= self.parameters_of(term)
+        for name, value in overrides.items():
+            if name not in values:
+                self._refuse(name, chosen)
+            values[name] = float(value)
+        for name, value in values.items():
+            self._check(name, value)
+        return values
+
+    def _refuse(self, name: str, chosen: tuple[str, ...]) -> None:
+        known = self.all_parameters()
+        if name not in known:
+            raise UnknownNameError("parameter", name, known)
+        effect = name.partition(".")[0]
+        raise UsageError(
+            f"{name} belongs to {effect}, which is not among the terms: {', '.join(chosen) or 'none'}"
+        )
+
+    def _check(self, name: str, value: float) -> None:
+        positive = name in self.positive
+        if not abs(value) < float("inf") or (positive and value <= 0.0):
+            kind = "positive" if positive else "finite"
+            raise UsageError(f"{name} must be a {kind} number, found {value:g}")
+
+
+FRICTION: Mapping[str, Effect] = {
+    "viscous_friction": Effect("resistance c·v", {"coefficient": 1.0}),
+    "coulomb_friction": Effect("dry friction of constant level", {"level": 1.0}),
+    "stribeck_friction": Effect(
+        "dry friction that falls from level to zero with speed", {"level": 1.0, "velocity": 0.1}
+    ),
+    "static_friction": Effect("extra hold at rest", {"level": 1.0}),
+    "quadratic_viscous_friction": Effect("resistance c·v|v|", {"coefficient": 1.0}),
+    "cubic_viscous_friction": Effect("resistance c·v³", {"coefficient": 1.0}),
+    "friction_asymmetry": Effect(
+        "resistance c·|v| and a dry level that is added forwards and taken off backwards",
+        {"coefficient": 1.0, "level": 0.0},
+    ),
+    "position_dependent_friction": Effect("dry friction that grows along the way", {"slope": 1.0}),
+}
+"""Friction laws that every moving part may have; each rig sets its own sizes."""
+
+WAY_IN: Mapping[str, Effect] = {
+    "time_delay": Effect("the command acts later, s", {"delay": 0.02}),
+    "dead_zone": Effect("commands between −left and right do nothing", {"left": 1.0, "right": 1.0}),
+    "saturation": Effect("the command goes no further than ± limit", {"limit": 1.0}),
+    "backlash": Effect("play of full width gap", {"gap": 1.0}),
+    "actuator_lag": Effect("the command acts through a first-order lag, s", {"time_constant": 0.02}),
+    "rate_limit": Effect("the command changes no faster than rate per second", {"rate": 1.0}),
+}
+"""Effects between a command and what it drives; sizes in the command's unit."""
+
+WAY_OUT: Mapping[str, Effect] = {
+    "sensor_gain": Effect("measured = (1 + gain)·x", {"gain": 0.05}),
+    "sensor_offset": Effect("measured = x + offset", {"offset": 0.01}),
+    "sensor_nonlinearity": Effect("measured = x + c·x³", {"cubic": 0.01}),
+    "sensor_lag": Effect("the sensor follows with a first-order lag, s", {"time_constant": 0.02}),
+}
+"""Effects between the first measured quantity and its samples."""
+
+
+def sized(effects: Mapping[str, Effect], sizes: Mapping[str, Mapping[str, float]]) -> dict[str, Effect]:
+    """Effects with the defaults of one rig in the place of the general ones."""
+    return {
+        name: Effect(effect.about, {**effect.parameters, **sizes.get(name, {})})
+        for name, effect in effects.items()
+    }
