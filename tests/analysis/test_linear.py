@@ -41,7 +41,7 @@ def held_levels(n: int, seed: int, hold: int = 40) -> FloatArray:
     return np.repeat(levels, hold)[:n]
 
 
-def motor(n: int = 3000, noise: float = 0.05, seed: int = 0) -> tuple[FloatArray, FloatArray]:
+def motor(n: int = 2000, noise: float = 0.05, seed: int = 0) -> tuple[FloatArray, FloatArray]:
     """Voltage and speed of a linear motor with an offset, sampled; the voltage is held."""
     u = held_levels(n, seed)
     b, a, _ = signal.cont2discrete(MOTOR, PERIOD, method="zoh")
@@ -156,6 +156,14 @@ def test_noise_polynomials_are_statsmodels_arma() -> None:
     assert float(np.mean(left[50:] ** 2)) == pytest.approx(0.01, rel=0.1)
 
 
+def test_noise_that_drifts_does_not_carry_the_offset_away() -> None:
+    u, y = motor(1500, noise=0.0)
+    y = y + 0.02 * np.cumsum(np.random.default_rng(4).standard_normal(1500))
+    model = fit_linear("box_jenkins", u, y, PERIOD, Orders(2, 2))
+    assert model.parameters["d1"] < -0.95
+    assert np.abs(model.simulate(u, y) - y).max() < 2.0
+
+
 def test_armax_finds_the_moving_average() -> None:
     u = held_levels(4000, 1, 10)
     e = 0.3 * np.random.default_rng(2).standard_normal(4000)
@@ -172,10 +180,10 @@ def test_bent_lines_on_both_sides_are_followed() -> None:
         x = signal.lfilter([0.0, 0.2], [1.0, -0.8], np.sign(u) * np.maximum(np.abs(u) - 2.0, 0.0))
         return u, np.tanh(0.7 * x) + 0.01 * np.random.default_rng(seed).standard_normal(n)
 
-    u, y = bent(3000, 1)
+    u, y = bent(2000, 1)
     model = fit_linear("hammerstein_wiener", u, y, PERIOD, Orders(1, 1, degree=6))
     straight = fit_linear("oe", u, y, PERIOD, Orders(1, 1))
-    fresh_u, fresh_y = bent(3000, 2)
+    fresh_u, fresh_y = bent(2000, 2)
     ours = figures_of(fresh_y, model.simulate(fresh_u, fresh_y)).rmse
     assert ours < 0.07
     assert ours < 0.4 * figures_of(fresh_y, straight.simulate(fresh_u, fresh_y)).rmse
@@ -205,7 +213,7 @@ def test_denominators_are_stable_whatever_is_tried(theta: list[float]) -> None:
     f = stable(np.array(theta))
     assert np.abs(np.roots(f)).max() < 1 + 1e-6
     mild = stable(np.clip(theta, -2, 2))
-    np.testing.assert_allclose(stable(unbounded(mild)), mild, atol=1e-9)
+    np.testing.assert_allclose(stable(unbounded(mild)), mild, atol=1e-6)
     mirrored = stabilised(np.append(1.0, np.array(theta)))
     assert np.abs(np.roots(mirrored)).max(initial=0.0) < 1 + 1e-6
 
@@ -227,9 +235,9 @@ def test_dead_time_is_found() -> None:
 
 @pytest.mark.parametrize("name", ["arx", "oe", "state_space", "transfer_function"])
 def test_orders_are_chosen_from_the_data(name: str) -> None:
-    u, y = motor(2000)
+    u, y = motor(1500)
     model = fit_linear(name, u, y, PERIOD)
-    fresh_u, fresh_y = motor(2000, seed=9)
+    fresh_u, fresh_y = motor(1500, seed=9)
     assert figures_of(fresh_y, model.simulate(fresh_u, fresh_y)).rmse < 0.058
     if name != "arx":  # least squares needs many poles for white noise on the output
         assert model.orders.poles == 2

@@ -26,6 +26,8 @@ from labhil.signals import FloatArray, Hold
 
 FEWEST_SAMPLES = 60
 HELD_OUT = 0.3
+MOST_TO_CHOOSE = 10_000
+"""Samples; of longer data a stretch around the held-out part's begin serves to choose orders."""
 SHORTLIST = 3
 BETTER = 0.99
 """A larger model is taken when its error on the held-out part is below that share of a smaller one's."""
@@ -90,9 +92,9 @@ def fit_linear(
     """Fit the baseline ``name`` to an input and an output (n,), sampled every ``period`` s.
 
     ``hold`` is what the input does between samples. Without ``orders`` they are chosen: each candidate
-    is fitted to the first 70 %, the three with the lowest Bayesian criterion run freely over the rest,
-    the smallest of the best is fitted to everything. Raises UnknownNameError, and RecordingError or
-    ValueError for data or orders that cannot be used.
+    is fitted to the first 70 % (of a stretch, where there are many samples), the three with the lowest
+    Bayesian criterion run freely over the rest, and the smallest of the best is fitted to everything.
+    Raises UnknownNameError, and RecordingError or ValueError for data or orders that cannot be used.
     """
     if name not in BASELINES:
         raise UnknownNameError("baseline", name, BASELINES)
@@ -103,8 +105,7 @@ def fit_linear(
 
 def choose_orders(name: str, data: Sampled) -> Orders:
     """The orders of the baseline ``name`` that the data support."""
-    cut = round(len(data) * (1 - HELD_OUT))
-    learn, judge = data.part(0, cut), data.part(cut, len(data))
+    learn, judge = _split(data)
     late = dead_time(learn)
     fitted = []
     for candidate in BASELINES[name].orders:
@@ -123,6 +124,15 @@ def choose_orders(name: str, data: Sampled) -> Orders:
         if best is None or error < BETTER * best[0]:
             best = error, model.orders
     return short[0][2].orders if best is None else best[1]
+
+
+def _split(data: Sampled) -> tuple[Sampled, Sampled]:
+    """The part that candidates are fitted to and the part that they are judged on, of long data a stretch."""
+    cut = round(len(data) * (1 - HELD_OUT))
+    learn, judge = data.part(0, cut), data.part(cut, len(data))
+    most = round(MOST_TO_CHOOSE * (1 - HELD_OUT))
+    near = learn.part(max(cut - most, 0), cut), judge.part(0, MOST_TO_CHOOSE - most)
+    return near if all(np.ptp(part.u) > 0 for part in near) else (learn, judge)
 
 
 def dead_time(data: Sampled) -> int:

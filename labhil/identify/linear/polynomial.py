@@ -8,7 +8,7 @@ sample and the offset; what remains are the denominators, which are stable by co
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import signal
@@ -135,7 +135,11 @@ def fit_box_jenkins(data: Sampled, orders: Orders) -> PolynomialModel:
     starts = [np.concatenate((begin, ma, theta)) for ma in (np.zeros(m), 0.5 * theta)]
     f, c, d = parts(improve(residual, starts))
     found, left = _simulated(data, orders, f, c, d)
-    return _model("box_jenkins", data, orders, (found, f, c, d), left)
+    model = _model("box_jenkins", data, orders, (found, f, c, d), left)
+    # noise that drifts hides the offset from the prediction error: what suits the free run is taken
+    rest = data.y - (model.simulate(data.u) - model.offset)
+    columns = np.column_stack((np.ones(len(data)), free_responses(f, len(data))))
+    return replace(model, offset=float(project(columns, rest)[0][0]))
 
 
 def denominators(data: Sampled, orders: Orders) -> list[FloatArray]:

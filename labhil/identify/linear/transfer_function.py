@@ -80,7 +80,7 @@ def fit_transfer_function(data: Sampled, orders: Orders) -> TransferFunctionMode
     def residual(theta: FloatArray) -> FloatArray:
         return _simulated(data, orders, _denominator(theta, data.period))[1]
 
-    theta = improve(residual, _starts(data, orders), keep=3)
+    theta = improve(residual, _starts(data, orders))
     denominator = _denominator(theta, data.period)
     found, left = _simulated(data, orders, denominator)
     numerator = found[: orders.inputs][::-1]
