@@ -253,7 +253,14 @@ def fit(
     *,
     rig: Annotated[Path | None, typer.Option(help="Rig file; default: the recording's own.")] = None,
     model: Annotated[Path | None, typer.Option(help="A fit to start from (JSON).")] = None,
-    estimator: Annotated[str, typer.Option(help="nlse: least squares from several starts.")] = "nlse",
+    estimator: Annotated[
+        str,
+        typer.Option(
+            help="Where it begins: hybrid, nlse, pso, pso_adaptive, pso_de, differential_evolution, "
+            "simulated_annealing, cma_es or mcmc; all end with least squares."
+        ),
+    ] = "hybrid",
+    seed: Annotated[int, typer.Option(help="Seed of the estimator's draws.")] = 0,
     names: Annotated[
         str | None, typer.Option("--terms", help="Terms of the model: a,b,… (default: the general model).")
     ] = None,
@@ -270,6 +277,7 @@ def fit(
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
 ) -> None:
     """Fit a white-box model to a recording, with honest errors, and test it on data it has not seen."""
+    from labhil.identify.estimators import estimator_named
     from labhil.identify.fit import Options
     from labhil.identify.intervals import interval_method
     from labhil.report.study import fit_study, load_material
@@ -280,10 +288,8 @@ def fit(
     material = load_material(recording, rig, test, holdout)
     tell(material.losses())
     with status() as say:
-        options = Options(window, method, simultaneous, say)
-        result = fit_study(
-            material, terms=split_names(names), start=model, estimator=estimator, options=options
-        )
+        options = Options(window, method, simultaneous, estimator_named(estimator), seed, say)
+        result = fit_study(material, terms=split_names(names), start=model, options=options)
     show_fit(result.fit, results_console())
     if plot is not None:
         from labhil.report.fit_plot import fit_plot

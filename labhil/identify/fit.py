@@ -8,21 +8,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from labhil.identify import statistics
+from labhil.identify.estimators import DEFAULT, search
 from labhil.identify.fitted import (
     Fitted,
     climb,
     covariances,
     fit_terms,
+    free_of,
     longest_trusted,
     settled,
     start_theta,
 )
 from labhil.identify.identifiability import Identifiability, identifiability
 from labhil.identify.intervals import Intervals
+from labhil.identify.problem import Problem
 from labhil.identify.score import Score, score
 from labhil.identify.shapes import over_shapes
 from labhil.identify.table import ParameterTable, table_of
-from labhil.identify.windows import noise_of
+from labhil.identify.windows import fit_windows, noise_of
 from labhil.physics.model import Metric, Model, Record, terms_named
 from labhil.signals import FloatArray
 
@@ -49,12 +52,15 @@ class Options:
 
     ``window`` (s) is the length of the fitted windows; by default the longest of a ladder whose residuals
     have not grown: where noise drives the plant itself, long windows bias the estimates. ``intervals``
-    says how they are made; ``simultaneous`` ones hold for all parameters together.
+    says how they are made; ``simultaneous`` ones hold for all parameters together. ``estimator`` is one
+    of ``estimators.ESTIMATORS``, ``seed`` that of its draws.
     """
 
     window: float | None = None
     intervals: Intervals = Intervals.WALD
     simultaneous: bool = False
+    estimator: str = DEFAULT
+    seed: int = 0
     progress: Progress = lambda text: None
 
 
@@ -106,7 +112,7 @@ def fit(
         rungs, lengths, sigma = _regressed(model, record, keys, begin, sigma)
     else:
         lengths = [how.window] if how.window else _ladder(model, record)
-        rungs = _climbed(model, record, keys, lengths, sigma, begin, () if start else keys, how.progress)
+        rungs = _climbed(model, record, keys, lengths, sigma, begin, () if start else keys, how)
     chosen = longest_trusted(rungs)
     how.progress(f"statistics and scores, intervals by {how.intervals}")
     by_window = [_window_estimate(r, length) for r, length in zip(rungs, lengths, strict=True)]
@@ -131,12 +137,13 @@ def _climbed(
     sigma: FloatArray,
     begin: FloatArray,
     fresh: Sequence[str],
-    progress: Progress,
+    how: Options,
 ) -> list[Fitted]:
     """Fits on longer and longer windows, the longest trusted one settled in its lowest minimum."""
-    progress(f"fitting {len(terms)} terms on windows of {', '.join(f'{x:.3g}' for x in lengths)} s")
-    rungs = climb(model, record, terms, lengths, sigma, start=begin, fresh=fresh)
-    progress("looking for lower minima")
+    how.progress(f"fitting {len(terms)} terms on windows of {', '.join(f'{x:.3g}' for x in lengths)} s")
+    first = _first_rung(model, record, terms, lengths, sigma, begin, fresh, how)
+    rungs = [first, *climb(model, record, terms, lengths[1:], sigma, start=first.theta, fresh=())]
+    how.progress("looking for lower minima")
     chosen = longest_trusted(rungs)
     rungs[chosen] = settled(over_shapes(rungs[chosen]))
     return rungs
@@ -154,6 +161,31 @@ def _regressed(
         sigma = sigma * np.maximum(spread, 1e-6)
         fitted = fit_terms(model, record, terms, length, sigma, start=fitted.theta, new_terms=())
     return [fitted], [length], sigma
+
+
+def _first_rung(
+    model: Model,
+    record: Record,
+    terms: Sequence[str],
+    lengths: Sequence[float],
+    sigma: FloatArray,
+    begin: FloatArray,
+    fresh: Sequence[str],
+    how: Options,
+) -> Fitted:
+    """The fit on the shortest windows: from the model's own starts, from a global search, or the better."""
+    own = None
+    if how.estimator in ("nlse", DEFAULT):
+        own = fit_terms(model, record, terms, lengths[0], sigma, start=begin, new_terms=fresh)
+        if how.estimator == "nlse":
+            return own
+    windows = fit_windows(record, lengths[-1] if model.forgets else lengths[0])
+    problem = Problem(model, record, windows, free_of(model, terms), begin, sigma)
+    how.progress(f"searching by {how.estimator}")
+    found = search(problem, how.estimator, seed=how.seed, progress=how.progress)
+    trial = fit_terms(model, record, terms, lengths[0], sigma, start=found.theta, new_terms=())
+    trial.problem.evaluations += problem.evaluations
+    return trial if own is None or trial.solution.cost < own.solution.cost else own
 
 
 def _window_estimate(fitted: Fitted, length: float) -> WindowEstimate:

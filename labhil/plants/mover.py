@@ -35,11 +35,6 @@ SLOWEST_BOUNCE = 1e-4
 
 Push = Callable[[float, float, float, float, Any], tuple[float, float]]
 
-
-push: Push
-"""The push of the rig at hand: a global name that :func:`mover_for` binds anew for each rig."""
-
-
 Three = tuple[float, float, float]
 
 

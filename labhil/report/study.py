@@ -19,7 +19,6 @@ from labhil.recording.reader import Recording, read_recording
 from labhil.report.results import Source, diagnosis_json, fit_json, terms_of, values_of
 from labhil.rig import RigFile, load_rig
 
-ESTIMATORS = ("nlse",)
 HOLDOUT = 0.3
 
 Progress = Callable[[str], None]
@@ -125,12 +124,9 @@ def fit_study(
     *,
     terms: Sequence[str] | None = None,
     start: Path | None = None,
-    estimator: str = "nlse",
     options: Options | None = None,
 ) -> FitResult:
     """Fit a model; ``start`` is a fit or diagnosis file to begin at."""
-    if estimator not in ESTIMATORS:
-        raise UnknownNameError("estimator", estimator, ESTIMATORS)
     shortest = FEWEST_IN_WINDOW * material.learn.period
     how = options or Options()
     if how.window is not None and not 0.99 * shortest <= how.window < float("inf"):
@@ -152,7 +148,7 @@ def fit_study(
     judged = with_help(result.identifiability, material.rig, result.fitted)
     result = replace(result, identifiability=judged)
     seconds = time.perf_counter() - began
-    data = fit_json(result, material.sources("train"), model.kind, estimator, 0, seconds)
+    data = fit_json(result, material.sources("train"), model.kind, how.estimator, how.seed, seconds)
     return FitResult(result, material, data)
 
 

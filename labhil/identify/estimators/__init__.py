@@ -1,0 +1,99 @@
+"""Estimators by name: where a fit begins before least squares take it to the minimum.
+
+``nlse`` begins at the model's own starts; the others search a box around them globally and hand their best
+point on, so that every fit ends with least squares, errors and tests of the same kind. ``hybrid``, the
+default, does both and keeps the better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from labhil.errors import UnknownNameError
+from labhil.identify.estimators.coordinates import Coordinates
+from labhil.identify.estimators.library import cma_es, differential_evolution, mcmc, simulated_annealing
+from labhil.identify.estimators.search import Budget, Found, Ledger, Progress
+from labhil.identify.estimators.swarm import adaptive_swarm, swarm_with_evolution, text_swarm
+from labhil.identify.problem import Problem
+from labhil.signals import FloatArray
+
+Method = Callable[..., Found]
+
+METHODS: Mapping[str, Method] = {
+    "pso": text_swarm,
+    "pso_adaptive": adaptive_swarm,
+    "pso_de": swarm_with_evolution,
+    "differential_evolution": differential_evolution,
+    "simulated_annealing": simulated_annealing,
+    "cma_es": cma_es,
+    "mcmc": mcmc,
+}
+
+DEFAULT = "hybrid"
+ESTIMATORS = ("nlse", DEFAULT, *METHODS)
+HYBRID_METHOD = "pso_de"
+
+EVALUATIONS = 400
+"""Evaluations per searched parameter that a global search may take."""
+
+HYBRID_EVALUATIONS = 60
+PATIENCE = 40
+
+
+@dataclass(frozen=True, slots=True)
+class Begin:
+    """Where a global search says that least squares should begin: the model's vector, with its search."""
+
+    theta: FloatArray
+    found: Found
+
+
+def estimator_named(name: str) -> str:
+    """The name itself; UnknownNameError lists those that exist."""
+    if name not in ESTIMATORS:
+        raise UnknownNameError("estimator", name, ESTIMATORS)
+    return name
+
+
+def search(
+    problem: Problem,
+    name: str,
+    *,
+    seed: int = 0,
+    budget: Budget | None = None,
+    progress: Progress = lambda text: None,
+) -> Begin:
+    """Search a box around the problem's start with one of METHODS (or ``hybrid``: briefly).
+
+    The initial states of all windows are held at the measured guess. Interrupting (Ctrl+C) ends the
+    search with the best so far.
+    """
+    coordinates = Coordinates.of(problem)
+    share = HYBRID_EVALUATIONS if name == DEFAULT else EVALUATIONS
+    limit = budget or Budget(share * max(len(coordinates.box), 1), patience=PATIENCE)
+    ledger = Ledger(coordinates.cost, coordinates.box, limit, progress)
+    method = METHODS[HYBRID_METHOD if name == DEFAULT else name]
+    if not len(coordinates.box):
+        z = coordinates.z(coordinates.start)
+        found = Found(coordinates.start, coordinates.cost(coordinates.start), 1, (), "nothing to search")
+        return Begin(problem.theta(z), found)
+    try:
+        found = method(ledger, seed, coordinates.start)
+    except KeyboardInterrupt:
+        ledger.stopped_because = "interrupted"
+        found = ledger.found()
+    return Begin(problem.theta(coordinates.z(found.z)), found)
+
+
+__all__ = [
+    "DEFAULT",
+    "ESTIMATORS",
+    "METHODS",
+    "Begin",
+    "Budget",
+    "Found",
+    "Ledger",
+    "estimator_named",
+    "search",
+]
