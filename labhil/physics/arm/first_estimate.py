@@ -42,7 +42,7 @@ def first_estimate(
     motion = record.motion
     judged = motion.judged[record.places] if motion is not None else np.ones(record.outputs.shape, dtype=bool)
     everything = grouped(links)
-    rigid = motion_view.rigid(upright())[:, :, list(everything.kept)] / torque_constant[None, :, None]
+    rigid = motion_view.rigid(upright(), 0.0)[:, :, list(everything.kept)] / torque_constant[None, :, None]
     others = _joint_columns(motion_view, None, torque_constant)
     columns = np.concatenate([rigid, others], axis=2)
     own = len(everything.kept)
@@ -66,9 +66,9 @@ def _joint_columns(view: View, inertial: FloatArray | None, torque_constant: Flo
     """Friction and offset of each joint (n, 6, k): a joint's columns are zero for all others."""
     blocks = []
     for joint in range(JOINTS):
-        own = [view.law(joint, name, 0.0, 0.0) / torque_constant[joint] for name in LAWS]
+        own = [view.law(joint, name, 0.0, 0.0, 0.0) / torque_constant[joint] for name in LAWS]
         if inertial is not None:
-            own.append(view.load(joint, 0.0, inertial, upright()) / torque_constant[joint])
+            own.append(view.load(joint, 0.0, inertial, upright(), 0.0) / torque_constant[joint])
         own.append(np.ones(len(own[0])))
         block = np.zeros((len(own[0]), JOINTS, len(own)))
         block[:, joint] = np.column_stack(own)

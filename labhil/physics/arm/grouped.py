@@ -144,7 +144,7 @@ class NormalEquations:
         for _ in range(ROUNDS):
             gram = np.einsum("jpq,j->pq", self.gram[at], 1.0 / variances)
             moment = np.einsum("jp,j->p", self.moment[:, chosen], 1.0 / variances)
-            size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+            size = np.sqrt(np.where(np.diag(gram) > 0.0, np.diag(gram), 1.0))
             strength, directions = np.linalg.eigh(gram / np.outer(size, size))
             known = strength > FAINTEST
             inverse = (directions / np.where(known, strength, np.inf)) @ directions.T

@@ -63,7 +63,7 @@ class ArmModel:
         sizes = Sizes.of(record, self._constant)
         warm = None if record is None else temperatures(record)
         self._temperature = np.zeros(JOINTS) if warm is None else warm.mean(axis=0)
-        self._seen: Remembered[tuple[FloatArray, Motion, np.ndarray]] = Remembered(4)
+        self._seen: Remembered[tuple[FloatArray, Motion, np.ndarray]] = Remembered(8)
         self._views: Remembered[View] = Remembered(8)
         self.first = self._first(record)
         everything = catalogue(sizes)
@@ -92,7 +92,7 @@ class ArmModel:
             every = grouped(self.links)
             return FirstEstimate(every, np.zeros(len(every.kept)), np.ones(len(every.kept)))
         ready = self.prepare(record)
-        return first_estimate(self.links, ready, self._view(ready, 0.0), self._constant)
+        return first_estimate(self.links, ready, self._view(ready), self._constant)
 
     def _own(self) -> tuple[Parameter, ...]:
         """Torque constants and grouped inertial parameters, where they are to be estimated."""
@@ -247,33 +247,36 @@ class ArmModel:
             return record.inputs, record.motion, record.places
         return record.inputs, as_it_is(record), np.arange(len(record))
 
-    def _view(self, record: Record, delay: float) -> View:
+    def _view(self, record: Record) -> View:
         inputs, motion, rows = self._motion(record)
-        view = self._views.of(
-            (id(inputs), delay), lambda: View(self.links, motion, rows, self._temperature, delay)
-        )
+        view = self._views.of(id(inputs), lambda: View(self.links, motion, rows, self._temperature))
         if view.rows is not rows:
-            self._views.forget((id(inputs), delay))
-            return self._view(record, delay)
+            self._views.forget(id(inputs))
+            return self._view(record)
         return view
 
-    def _now(self, theta: FloatArray, record: Record) -> View:
-        return self._view(record, self._number(theta, "clock_offset.offset"))
+    def _delay(self, theta: FloatArray) -> float:
+        return self._number(theta, "clock_offset.offset")
 
     def _rigid_regressor(self, theta: FloatArray, record: Record) -> FloatArray:
-        view, gravity = self._now(theta, record), self._gravity(theta)
+        view, gravity, delay = self._view(record), self._gravity(theta), self._delay(theta)
         compliance = self._of_joints(theta, COMPLIANCE)
         if not np.any(compliance):
-            return view.rigid(gravity)
-        return view.bent(compliance, self._load_inertial(theta), gravity)
+            return view.rigid(gravity, delay)
+        return view.bent(compliance, self._load_inertial(theta), gravity, delay)
 
     def _rigid(self, theta: FloatArray, record: Record) -> FloatArray:
-        return np.asarray(self._rigid_regressor(theta, record) @ self._inertial(theta))
+        """Torques of the rigid body (n, 6), N·m; remembered, since most of a fit is about friction."""
+        inertial, compliance = self._inertial(theta), self._of_joints(theta, COMPLIANCE)
+        key = (
+            inertial.tobytes(), self._gravity(theta).tobytes(), compliance.tobytes(), self._delay(theta)
+        )  # fmt: skip
+        return self._view(record).torques.of(key, lambda: self._rigid_regressor(theta, record) @ inertial)
 
     def _torques(self, theta: FloatArray, record: Record) -> FloatArray:
         """Torques of the drives (n, 6), N·m."""
-        view = self._now(theta, record)
-        torques = self._rigid(theta, record)
+        view = self._view(record)
+        torques = self._rigid(theta, record).copy()
         for name in LAWS:
             for joint, level in enumerate(self._of_joints(theta, name)):
                 if level:
@@ -285,16 +288,18 @@ class ArmModel:
 
     def _law(self, theta: FloatArray, view: View, joint: int, name: str) -> FloatArray:
         shaped_by = LAWS[name].shaped_by
-        shape = self._of_joints(theta, shaped_by)[joint] if shaped_by else 0.0
-        return view.law(joint, name, float(shape), float(self._of_joints(theta, LENGTH)[joint]))
+        shape = float(self._of_joints(theta, shaped_by)[joint]) if shaped_by else 0.0
+        length = float(self._of_joints(theta, LENGTH)[joint])
+        return view.law(joint, name, shape, length, self._delay(theta))
 
     def _load(self, theta: FloatArray, view: View, joint: int) -> FloatArray:
         length = float(self._of_joints(theta, LENGTH)[joint])
-        return view.load(joint, length, self._load_inertial(theta), self._gravity(theta))
+        inertial, gravity = self._load_inertial(theta), self._gravity(theta)
+        return view.load(joint, length, inertial, gravity, self._delay(theta))
 
     def _slope(self, theta: FloatArray, record: Record, parameter: Parameter, out: FloatArray) -> None:
         """Fill ``out`` (n, 6) with A per unit of one linear parameter."""
-        view, gain, joint = self._now(theta, record), self._gain(theta), parameter.joint
+        view, gain, joint = self._view(record), self._gain(theta), parameter.joint
         assert joint is not None
         if parameter.name == OFFSET:
             out[:, joint] = 1.0

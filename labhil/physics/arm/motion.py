@@ -30,6 +30,7 @@ REST = 0.01
 LOWEST_CUT_OFF = 8.0
 HIGHEST_SHARE = 1.0 / 3.0
 BANDWIDTHS = 10.0
+SLOWER = 3.0
 POWER = 0.99
 KEPT_PER_CUT_OFF = 2.5
 GAP = 2.5
@@ -74,9 +75,20 @@ class Motion:
     judged: np.ndarray
     low_pass: LowPass | None
 
+    @property
+    def period(self) -> float:
+        """Time between samples, s."""
+        return float(np.median(np.diff(self.t)))
+
     def filtered(self, columns: FloatArray) -> FloatArray:
         """Columns (n, …) after the filter that the currents passed."""
         return columns if self.low_pass is None else self.low_pass(columns)
+
+    def slowly(self, columns: FloatArray) -> FloatArray:
+        """Columns (n, …) at the trajectory's own pace, fit to be differentiated twice more."""
+        if self.low_pass is None:
+            return columns
+        return LowPass(self.low_pass.cut_off / SLOWER, self.low_pass.period)(columns)
 
 
 @dataclass(frozen=True, slots=True)
