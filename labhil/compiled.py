@@ -16,3 +16,11 @@ Function = TypeVar("Function", bound=Callable[..., object])
 def compiled(function: Function) -> Function:
     """Compile ``function`` to machine code at its first call and cache that on disk beside the source."""
     return cast(Function, numba.njit(cache=True, fastmath=False, nogil=True)(function))
+
+
+def specialised(function: Function) -> Function:
+    """Compile a function made for one kernel by closing over that kernel's laws, into the kernel.
+
+    Such a function cannot be found again on disk; the kernel that calls it can, and has it inside.
+    """
+    return cast(Function, numba.njit(fastmath=False, nogil=True)(function))

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from labhil.physics import friction, sliding
+from labhil.physics import sliding
 from labhil.physics.driven import DrivenPath
 from labhil.physics.friction_terms import friction_terms
 from labhil.physics.model import Metric, Record, Windows
@@ -198,12 +198,7 @@ class AxisModel:
         x, v = coordinates["position"], coordinates["axis_velocity"]
         u = next(values for name, values in coordinates.items() if name.startswith("drive_"))
         part, law = self._part(theta), self._values.friction_law(theta, self._mass(theta))
-        table = self._table(theta)
-        force = [
-            sliding.pull_of(float(a), float(b), table, part) - friction.friction(b, c, float(np.sign(c)), law)
-            for a, b, c in zip(u, x, v, strict=True)
-        ]
-        return np.where(v == 0.0, 0.0, self._mass(theta) * np.array(force))
+        return np.asarray(sliding.accelerations(u, x, v, self._table(theta), part, law) * self._mass(theta))
 
     def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
         """What starts are fractions of, from this recording."""
@@ -248,9 +243,9 @@ class AxisModel:
         if rate := self._values.of(theta, "temperature_dependent_friction.rate"):
             warmth = record.auxiliary["temperature"]
             change = np.exp(-rate * (warmth - warmth[0]))
-        out = np.empty((len(windows.rows), 2))
+        out = np.empty((len(windows.rows), 3))
         sliding.simulate(
             record.t, nodes, values, windows.first, windows.last, states, self._table(theta),
             self._part(theta), self._values.friction_law(theta, self._mass(theta)), change, out,
         )  # fmt: skip
-        return out
+        return out[:, :2]

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from labhil.physics import friction, winding
+from labhil.physics import winding
 from labhil.physics.driven import DrivenPath
 from labhil.physics.friction_terms import friction_terms
 from labhil.physics.model import Metric, Record, Windows
@@ -273,6 +273,7 @@ class DcMotorModel:
         u = record.inputs[:, 0]
         return {
             "shaft_velocity": motion[:, 0],
+            "shaft_angle": motion[:, 2],
             "current": motion[:, 1],
             "voltage": u[windows.rows],
             "voltage_rate": np.gradient(u, record.t)[windows.rows],
@@ -280,12 +281,10 @@ class DcMotorModel:
 
     def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """Torque on the rotor at these coordinates, N·m; zero where it rests."""
-        w, i = coordinates["shaft_velocity"], coordinates["current"]
+        i, angle, w = (coordinates[name] for name in ("current", "shaft_angle", "shaft_velocity"))
         inertia = self._values.of(theta, "inertia")
         law = self._values.friction_law(theta, inertia)
-        drag = np.array([friction.friction(0.0, float(v), float(np.sign(v)), law) for v in w])
-        torque = self._values.of(theta, "torque_constant") * i - inertia * drag
-        return np.where(w == 0.0, 0.0, torque - self._values.of(theta, "constant_force.force"))
+        return np.asarray(winding.accelerations(i, angle, w, self._motor(theta), law) * inertia)
 
     def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
         """What starts are fractions of, from this recording."""

@@ -39,18 +39,37 @@ NAMES = {
 """Parameters of the places, all but the Stribeck velocity in units of force."""
 
 NARROW = 30.0
-SHORTEST_STEP = 2e-4
+"""Stribeck velocities beyond which nothing is left of the Stribeck level."""
+
+RESOLVED = 0.35
+"""Share of a time constant, or of the width of a Stribeck peak, that one step may pass."""
+
+
+Law = tuple[float, float, float, float, float, float, float, float, float, float]
+"""Strengths in the order of the places, as kernels hold them."""
 
 
 @compiled
-def hold(x: float, side: float, f: FloatArray) -> float:
+def law_of(f: FloatArray) -> Law:
+    """The strengths of an array (10,)."""
+    return f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8], f[9]
+
+
+@compiled
+def thinned(f: Law, change: float) -> Law:
+    """The same law with viscous friction times ``change``."""
+    return f[0] * change, f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8], f[9]
+
+
+@compiled
+def hold(x: float, side: float, f: Law) -> float:
     """Drive towards ``side`` that a part at rest at ``x`` just withstands; never negative."""
     level = f[COULOMB] + f[STRIBECK] + f[STATIC] + side * f[ASYMMETRIC_LEVEL] + f[DRY_SLOPE] * x
     return max(level, 0.0)
 
 
 @compiled
-def friction(x: float, v: float, side: float, f: FloatArray) -> float:
+def friction(x: float, v: float, side: float, f: Law) -> float:
     """Deceleration of a part that moves towards ``side`` with ``v``."""
     speed = abs(v)
     dry = f[COULOMB] + side * f[ASYMMETRIC_LEVEL] + f[DRY_SLOPE] * x
@@ -61,13 +80,14 @@ def friction(x: float, v: float, side: float, f: FloatArray) -> float:
 
 
 @compiled
-def longest_step(v: float, pull: float, longest: float, f: FloatArray) -> float:
-    """How far one step may go at acceleration ``pull``: a narrow Stribeck peak must not be jumped over."""
+def pace(v: float, pull: float, f: Law) -> float:
+    """How long one step may be (s) at acceleration ``pull``: it must not jump over a narrow Stribeck peak."""
     speed = abs(v)
     stiffness = abs(f[VISCOUS]) + 2.0 * abs(f[QUADRATIC]) * speed + 3.0 * abs(f[CUBIC]) * v * v
-    h = longest
+    longest = np.inf
     if f[STRIBECK] != 0.0:
         width = f[STRIBECK_VELOCITY]
-        stiffness += abs(f[STRIBECK]) / (width * (1.0 + speed * speed / (width * width)))
-        h = min(h, 0.5 * (width + 0.25 * speed) / (abs(pull) + 1e-9))
-    return max(min(h, 0.5 / (stiffness + 1e-9)), SHORTEST_STEP)
+        if speed < NARROW * width:
+            stiffness += abs(f[STRIBECK]) / width * np.exp(-speed / width)
+        longest = RESOLVED * (width + 0.3 * max(speed - width, 0.0)) / (abs(pull) + 1e-300)
+    return min(longest, RESOLVED / (stiffness + 1e-300))

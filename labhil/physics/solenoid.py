@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from labhil.errors import RigFileError
-from labhil.physics import friction, input_path, sliding
+from labhil.physics import input_path, sliding
 from labhil.physics.driven import DrivenPath
 from labhil.physics.friction_terms import friction_terms
 from labhil.physics.model import Metric, Record, Windows
@@ -231,12 +231,8 @@ class SolenoidModel:
         """Force on the plunger at these coordinates, N; zero where it rests."""
         x, v, i = (coordinates[n] for n in ("plunger_position", "plunger_velocity", "coil_current"))
         mass = self._values.of(theta, "moving_mass")
-        part, law, table = self._part(theta), self._values.friction_law(theta, mass), self.map / mass
-        force = [
-            sliding.pull_of(float(a), float(b), table, part) - friction.friction(b, c, float(np.sign(c)), law)
-            for a, b, c in zip(i, x, v, strict=True)
-        ]
-        return np.where(v == 0.0, 0.0, mass * np.array(force))
+        part, law = self._part(theta), self._values.friction_law(theta, mass)
+        return np.asarray(sliding.accelerations(i, x, v, self.map / mass, part, law) * mass)
 
     def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
         """What starts are fractions of, from this recording."""
@@ -280,9 +276,9 @@ class SolenoidModel:
         """x and v of all windows, (N, 2)."""
         nodes, current = self._field(theta, record)
         mass = self._values.of(theta, "moving_mass")
-        out = np.empty((len(windows.rows), 2))
+        out = np.empty((len(windows.rows), 3))
         sliding.simulate(
             record.t, nodes, current, windows.first, windows.last, states, self.map / mass,
             self._part(theta), self._values.friction_law(theta, mass), np.ones(len(record)), out,
         )  # fmt: skip
-        return out
+        return out[:, :2]

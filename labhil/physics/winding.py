@@ -1,9 +1,8 @@
 """The simulation kernel of a DC motor: winding, rotor, and a rotor that can stand still.
 
 U = R·i + L·di/dt + K·ω + brush drop and J·ω̇ = K·i − friction − load (equations 4.1 to 4.7 of the reference
-text). The voltage moves straight between nodes, with jumps where two nodes share a moment. Rest is an
-event: below break-away ω is exactly zero and the current alone goes on; the moments of stopping and of
-breaking away are solved for.
+text). The current is solved exactly within a step, so an inductance may be as small as it likes, zero
+included. The brush drop is V_b·sgn i, straight across ±``brush_width``.
 """
 
 from __future__ import annotations
@@ -13,18 +12,15 @@ from typing import NamedTuple
 import numpy as np
 
 from labhil.compiled import compiled
-from labhil.physics.friction import friction, hold, longest_step
+from labhil.physics.friction import RESOLVED, Law, friction, hold, law_of, pace, thinned
+from labhil.physics.stick_slip import FINEST, NO_STOPS, TINY, Follows, Laws, Motion, integrator
 from labhil.signals import FloatArray, IntArray
 
-QUASI_STATIC = 4e-4
-"""Electrical time constant (s) under which the current follows at once."""
+FIRST_SHARE = 0.5
+"""Share of the electrical time constant that the first step after a jump of the voltage may take."""
 
-SHARE_OF_WINDING = 0.15
-COARSEST_SHARE = 0.6
-COARSE_STEP = 2e-3
-"""A step may be this long (s) where that is at most ``COARSEST_SHARE`` of the electrical time constant."""
-
-LONGEST_STEP = 0.02
+FADES = 5.0
+"""Electrical time constants in which the allowed step grows by e, as the current settles."""
 
 
 class Motor(NamedTuple):
@@ -43,25 +39,64 @@ class Motor(NamedTuple):
     cogging_order: float
 
 
-@compiled
-def electromotive(i: float, w: float, m: Motor) -> float:
-    """What the current has to be driven against besides the resistance, V."""
-    drop = m.brush_drop * np.tanh(i / m.brush_width) if m.brush_drop != 0.0 else 0.0
-    return m.constant * w + drop
+class Rotor(NamedTuple):
+    """A motor as it is between two samples: its voltage's gain, its warm resistance, its friction."""
+
+    motor: Motor
+    gain: float
+    resistance: float
+    law: Law
+
+
+class Course(NamedTuple):
+    """What changes along a recording, (n,) each: gain of the voltage, warm over cold resistance, the same of
+    viscous friction."""
+
+    gain: FloatArray
+    warm: FloatArray
+    change: FloatArray
+    cold: Rotor
 
 
 @compiled
-def settled_current(u: float, w: float, m: Motor) -> float:
-    """Current (A) that flows when the inductance has no say."""
-    i = (u - m.constant * w) / m.resistance
+def at(r: Rotor, c: Course, k: int) -> Rotor:
+    """The motor between samples k and k + 1."""
+    cold = c.cold
+    return Rotor(cold.motor, c.gain[k], cold.resistance * c.warm[k], thinned(cold.law, c.change[k]))
+
+
+@compiled
+def follow(s: Motion, r: Rotor) -> Follows:
+    """Rate of the current, the resistance that damps it (Ω; near zero brushes add to it), their drop, V."""
+    m = r.motor
+    damping, bias = r.resistance, 0.0
     if m.brush_drop != 0.0:
-        for _ in range(30):
-            slope = m.resistance + m.brush_drop / m.brush_width / np.cosh(i / m.brush_width) ** 2
-            step = (m.resistance * i + electromotive(i, w, m) - u) / slope
-            i -= step
-            if abs(step) < 1e-12:
-                break
-    return i
+        if abs(s.a) < m.brush_width:
+            damping += m.brush_drop / m.brush_width
+        else:
+            bias = m.brush_drop * np.sign(s.a)
+    return Follows(damping / m.inductance if m.inductance > 0.0 else np.inf, damping, bias)
+
+
+@compiled
+def settled(s: Motion, u: float, r: Rotor) -> float:
+    """Current (A) that flows when the inductance has no say."""
+    m = r.motor
+    volts = r.gain * u - m.constant * s.v
+    if m.brush_drop != 0.0:
+        within = volts / (r.resistance + m.brush_drop / m.brush_width)
+        if abs(within) < m.brush_width:
+            return within
+        volts -= m.brush_drop * np.sign(volts)
+    return volts / r.resistance
+
+
+@compiled
+def target(s: Motion, u: float, how: Follows, r: Rotor) -> float:
+    """The current towards which the present one moves, A."""
+    if how.rate == np.inf:
+        return settled(s, u, r)
+    return (r.gain * u - r.motor.constant * s.v - how.bias) / how.gauge
 
 
 @compiled
@@ -75,161 +110,57 @@ def pull_of(i: float, angle: float, m: Motor) -> float:
 
 
 @compiled
-def slopes(
-    w: float, i: float, angle: float, side: float, u: float, m: Motor, f: FloatArray
-) -> tuple[float, float]:
-    """ω̇ and di/dt of a turning rotor at voltage ``u``."""
-    turning = pull_of(i, angle, m) - friction(angle, w, side, f)
-    return turning, (u - m.resistance * i - electromotive(i, w, m)) / m.inductance
+def pull(s: Motion, side: float, u: float, r: Rotor) -> float:
+    """Angular acceleration of a turning rotor, rad/s²."""
+    return pull_of(s.a, s.x, r.motor) - friction(s.x, s.v, side, r.law)
 
 
 @compiled
-def turn(
-    w: float, i: float, angle: float, side: float, u: float, rise: float, h: float, m: Motor, f: FloatArray
-) -> tuple[float, float, float]:
-    """ω, i and angle of a turning rotor h s later (Runge-Kutta) while the voltage rises by ``rise``/s."""
-    half = 0.5 * h
-    if m.inductance <= QUASI_STATIC * m.resistance:
-        a1 = pull_of(settled_current(u, w, m), angle, m) - friction(angle, w, side, f)
-        w2, x2, middle = w + half * a1, angle + half * w, u + half * rise
-        a2 = pull_of(settled_current(middle, w2, m), x2, m) - friction(x2, w2, side, f)
-        w3, x3 = w + half * a2, angle + half * w2
-        a3 = pull_of(settled_current(middle, w3, m), x3, m) - friction(x3, w3, side, f)
-        w4, x4 = w + h * a3, angle + h * w3
-        a4 = pull_of(settled_current(u + h * rise, w4, m), x4, m) - friction(x4, w4, side, f)
-        w_new = w + h * (a1 + 2.0 * (a2 + a3) + a4) / 6.0
-        return w_new, settled_current(u + h * rise, w_new, m), angle + h * (w + 2.0 * (w2 + w3) + w4) / 6.0
-    a1, d1 = slopes(w, i, angle, side, u, m, f)
-    w2, i2, x2 = w + half * a1, i + half * d1, angle + half * w
-    a2, d2 = slopes(w2, i2, x2, side, u + half * rise, m, f)
-    w3, i3, x3 = w + half * a2, i + half * d2, angle + half * w2
-    a3, d3 = slopes(w3, i3, x3, side, u + half * rise, m, f)
-    w4, i4, x4 = w + h * a3, i + h * d3, angle + h * w3
-    a4, d4 = slopes(w4, i4, x4, side, u + h * rise, m, f)
-    return (
-        w + h * (a1 + 2.0 * (a2 + a3) + a4) / 6.0,
-        i + h * (d1 + 2.0 * (d2 + d3) + d4) / 6.0,
-        angle + h * (w + 2.0 * (w2 + w3) + w4) / 6.0,
-    )
+def grip(s: Motion, u: float, r: Rotor) -> tuple[float, float, float]:
+    """Angular acceleration that a rotor at rest would have, and what it withstands either way."""
+    return pull_of(s.a, s.x, r.motor), hold(s.x, 1.0, r.law), hold(s.x, -1.0, r.law)
 
 
 @compiled
-def stalled_current(i: float, u: float, rise: float, h: float, m: Motor) -> float:
-    """Current of a rotor that stands still, h s later (Runge-Kutta; exact enough on a short step)."""
-    if m.inductance <= QUASI_STATIC * m.resistance:
-        return settled_current(u + h * rise, 0.0, m)
-    if m.brush_drop == 0.0:
-        time_constant = m.inductance / m.resistance
-        lag = rise * time_constant
-        decay = np.exp(-h / time_constant)
-        return (u + h * rise - lag) / m.resistance + (i - (u - lag) / m.resistance) * decay
-    half = 0.5 * h
-    d1 = (u - m.resistance * i - electromotive(i, 0.0, m)) / m.inductance
-    i2 = i + half * d1
-    d2 = (u + half * rise - m.resistance * i2 - electromotive(i2, 0.0, m)) / m.inductance
-    i3 = i + half * d2
-    d3 = (u + half * rise - m.resistance * i3 - electromotive(i3, 0.0, m)) / m.inductance
-    i4 = i + h * d3
-    d4 = (u + h * rise - m.resistance * i4 - electromotive(i4, 0.0, m)) / m.inductance
-    return i + h * (d1 + 2.0 * (d2 + d3) + d4) / 6.0
-
-
-@compiled
-def leaves(i: float, angle: float, m: Motor, f: FloatArray) -> float:
-    """The side towards which a rotor at rest is torn away at this current; 0 when it holds."""
-    pull = pull_of(i, angle, m)
-    if pull > hold(angle, 1.0, f):
-        return 1.0
-    if -pull > hold(angle, -1.0, f):
-        return -1.0
-    return 0.0
-
-
-@compiled
-def time_to_leave(i: float, angle: float, u: float, rise: float, h: float, m: Motor, f: FloatArray) -> float:
-    """When within h s, at whose end it is torn away, a rotor at rest leaves (bisection)."""
-    low, high = 0.0, h
-    for _ in range(50):
-        middle = 0.5 * (low + high)
-        if leaves(stalled_current(i, u, rise, middle, m), angle, m, f) != 0.0:
-            high = middle
-        else:
-            low = middle
-        if high - low < 1e-12:
-            break
-    return high
-
-
-@compiled
-def time_to_stop(
-    w: float, i: float, angle: float, side: float, u: float, rise: float, h: float, m: Motor, f: FloatArray
+def longest(
+    s: Motion, side: float, u: float, rise: float, since: float, how: Follows, finest: float, r: Rotor
 ) -> float:
-    """When within h s, at whose end it would turn back, the rotor stands still (Illinois method)."""
-    low, f_low = 0.0, w * side
-    high, f_high = h, turn(w, i, angle, side, u, rise, h, m, f)[0] * side
-    for _ in range(60):
-        if high - low < 1e-12:
-            break
-        middle = (low * f_high - high * f_low) / (f_high - f_low)
-        found = turn(w, i, angle, side, u, rise, middle, m, f)[0] * side
-        if abs(found) < 1e-12:
-            return middle
-        if found > 0.0:
-            low, f_low = middle, found
-            f_high *= 0.5
-        else:
-            high, f_high = middle, found
-            f_low *= 0.5
-    return 0.5 * (low + high)
+    """The longest step, s.
+
+    After a jump of the voltage the current's own decay must be resolved as far as it is off the course
+    that it settles on, and ever less the longer the jump is past.
+    """
+    m = r.motor
+    goal = target(s, u, how, r)
+    size = np.inf
+    if m.brush_drop != 0.0 and how.rate < np.inf:
+        width = m.brush_width + 0.3 * max(abs(s.a) - m.brush_width, 0.0)
+        size = max(RESOLVED * width / (abs(how.rate * (goal - s.a)) + TINY), finest)
+    if side == 0.0:
+        return size
+    turning = pull(s, side, u, r)
+    coupling = m.constant * m.constant / m.inertia
+    swift = min(coupling / how.gauge, np.sqrt(coupling / (m.inductance + TINY)))
+    size = min(size, max(pace(s.v, turning, r.law), finest), RESOLVED / (swift + TINY))
+    if how.rate * min(size, finest / FINEST) <= FIRST_SHARE or how.rate == np.inf:
+        return size
+    course = goal - (r.gain * rise - m.constant * turning) / (how.gauge * how.rate)
+    off = max(abs(s.a - course) / (abs(s.a) + abs(goal) + TINY), 1e-12)
+    return min(size, FIRST_SHARE / how.rate * np.exp(min(since * how.rate / FADES, 50.0)) * off**-0.2)
+
+
+run = integrator(Laws(pull, target, follow, settled, grip, longest, at))
 
 
 @compiled
-def advance(
-    state: FloatArray, side: float, u: float, rise: float, h: float, m: Motor, f: FloatArray
-) -> float:
-    """Let h s pass, through all stops and starts; changes ``state`` (ω, i, angle), returns the new side."""
-    t = 0.0
-    electrical = m.inductance / m.resistance
-    longest = LONGEST_STEP
-    if electrical > QUASI_STATIC:
-        coarse = min(COARSEST_SHARE * electrical, COARSE_STEP)
-        longest = min(LONGEST_STEP, max(SHARE_OF_WINDING * electrical, coarse))
-    while t < h - 1e-13:
-        now = u + t * rise
-        w, i, angle = state[0], state[1], state[2]
-        if side == 0.0:
-            step = min(h - t, longest)
-            towards = leaves(i, angle, m, f)
-            if towards != 0.0:
-                side = towards
-                continue
-            later = stalled_current(i, now, rise, step, m)
-            towards = leaves(later, angle, m, f)
-            if towards != 0.0:
-                step = time_to_leave(i, angle, now, rise, step, m, f)
-                later = stalled_current(i, now, rise, step, m)
-                side = towards
-            state[1] = later
-            t += step
-            continue
-        pull = pull_of(i, angle, m) - friction(angle, w, side, f)
-        step = min(h - t, longest_step(w, pull, longest, f))
-        w_new, i_new, angle_new = turn(w, i, angle, side, now, rise, step, m, f)
-        if w_new * side > 0.0 or (w_new == 0.0 and w == 0.0):
-            state[0], state[1], state[2] = w_new, i_new, angle_new
-            t += step
-        elif w == 0.0:
-            # the torque that tore it away is gone again at once: it rests for this step
-            state[1] = stalled_current(i, now, rise, step, m)
-            side = 0.0
-            t += step
-        else:
-            stop = time_to_stop(w, i, angle, side, now, rise, step, m, f)
-            _, i_new, angle_new = turn(w, i, angle, side, now, rise, stop, m, f)
-            state[0], state[1], state[2] = 0.0, i_new, angle_new
-            side = 0.0
-            t += stop
-    return side
+def accelerations(i: FloatArray, angle: FloatArray, w: FloatArray, m: Motor, f: FloatArray) -> FloatArray:
+    """Angular accelerations of turning rotors at many places at once, rad/s²; zero where the rotor rests."""
+    out = np.zeros(w.size)
+    law = law_of(f)
+    for k in range(w.size):
+        if w[k] != 0.0:
+            out[k] = pull_of(i[k], angle[k], m) - friction(angle[k], w[k], np.sign(w[k]), law)
+    return out
 
 
 @compiled
@@ -254,42 +185,10 @@ def simulate(
     value when cold, ``viscous_change`` (n,) the same of viscous friction. Window w covers the samples
     first[w] … last[w] − 1 and begins with states[w] = (ω, i, angle).
     """
-    state = np.empty(3)
-    law = f.copy()
-    row = 0
-    for w in range(first.size):
-        now = t[first[w]]
-        node = np.searchsorted(node_t, now, side="right")
-        state[:] = states[w]
-        side = np.sign(state[0])
-        out[row] = state
-        row += 1
-        for k in range(first[w], last[w] - 1):
-            heated = Motor(
-                m.inertia, m.constant, m.resistance * warm[k], m.inductance, m.brush_drop, m.brush_width,
-                m.load, m.spring, m.cogging_sine, m.cogging_cosine, m.cogging_order,
-            )  # fmt: skip
-            law[0] = f[0] * viscous_change[k]
-            end = t[k + 1]
-            while now < end:
-                until = min(end, node_t[node]) if node < node_t.size else end
-                if until > now:
-                    u, rise = stretch(node_t, voltage, node, now)
-                    side = advance(state, side, gain[k] * u, gain[k] * rise, until - now, heated, law)
-                    now = until
-                while node < node_t.size and node_t[node] <= now:
-                    node += 1
-            out[row] = state
-            row += 1
-
-
-@compiled
-def stretch(node_t: FloatArray, voltage: FloatArray, node: int, now: float) -> tuple[float, float]:
-    """Voltage at ``now`` and its rise per second in the stretch before ``node`` (0: before all)."""
-    if node == 0:
-        return voltage[0], 0.0
-    if node == node_t.size:
-        return voltage[node - 1], 0.0
-    h = node_t[node] - node_t[node - 1]
-    rise = (voltage[node] - voltage[node - 1]) / h if h > 0.0 else 0.0
-    return voltage[node - 1] + rise * (now - node_t[node - 1]), rise
+    begun = np.empty_like(states)
+    begun[:, 0], begun[:, 1], begun[:, 2] = states[:, 2], states[:, 0], states[:, 1]
+    cold = Rotor(m, 1.0, m.resistance, law_of(f))
+    course = Course(gain, warm, viscous_change, cold)
+    run(t, node_t, voltage, first, last, begun, NO_STOPS, cold, course, out)
+    for row in range(out.shape[0]):
+        out[row, 0], out[row, 1], out[row, 2] = out[row, 1], out[row, 2], out[row, 0]

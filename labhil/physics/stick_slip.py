@@ -1,0 +1,401 @@
+"""One moving part with dry friction and stops, whatever drives it: rest is an event.
+
+A part has a position, a velocity and one quantity that follows on its own (the current of a winding). Its
+physics are functions (:class:`Laws`), from which :func:`integrator` makes what a kernel calls. Below
+break-away the part holds still; the moments of coming to rest, of breaking away and of meeting a stop are
+solved for within a step, so nothing depends on how they fall between samples.
+
+Position and velocity are stepped by the classical Runge-Kutta method. The following quantity is solved
+exactly in each of its stages for a target that is a parabola through those known so far, so that its rate
+may be anything from zero to infinity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Generic, NamedTuple, TypeVar
+
+import numpy as np
+
+from labhil.compiled import compiled, specialised
+from labhil.signals import FloatArray, IntArray
+
+Part = TypeVar("Part")
+"""Whatever a kernel's laws need to know: strengths over the inertia."""
+
+Course = TypeVar("Course")
+"""What changes it along the recording."""
+
+INSTANT = 1e-12
+"""Times closer than this (s) are one."""
+
+AT_ONCE = 1e6
+"""Rate times the length of a stretch above which the following quantity is simply there."""
+
+FINEST = 0.02
+"""Shortest step that friction may ask for, as a share of the sampling period."""
+
+ITERATIONS = 80
+TINY = 1e-300
+NOT_ONE_END = 0.01
+"""Share of a bracket that is cut off at least, or one of its ends would never move."""
+
+
+class Motion(NamedTuple):
+    """Position x, velocity v, and a, which follows by ȧ = rate·(target − a); SI units."""
+
+    x: float
+    v: float
+    a: float
+
+
+class Stops(NamedTuple):
+    """Where the way ends (infinite where it does not) and what share of its speed comes back there."""
+
+    low: float
+    high: float
+    restitution: float
+
+
+NO_STOPS = Stops(-np.inf, np.inf, 0.0)
+
+
+class Follows(NamedTuple):
+    """How a follows during one step: its rate, 1/s, and two numbers that its target may depend on."""
+
+    rate: float
+    gauge: float
+    bias: float
+
+
+class Laws(NamedTuple, Generic[Part, Course]):
+    """The physics of one kind of part, compiled functions all.
+
+    ``side`` is +1 or −1 while the part moves, 0 at rest; u is the input.
+    """
+
+    pull: Callable[[Motion, float, float, Part], float]
+    """(state, side, u, part) to the acceleration of a moving part."""
+
+    target: Callable[[Motion, float, Follows, Part], float]
+    """(state, u, how a follows, part) to what a moves towards; must not depend on a itself."""
+
+    follow: Callable[[Motion, Part], Follows]
+    """(state, part) to how a follows in the coming step."""
+
+    settled: Callable[[Motion, float, Part], float]
+    """(state, u, part) to the value of a that an infinite rate leads to."""
+
+    grip: Callable[[Motion, float, Part], tuple[float, float, float]]
+    """(state, u, part) to pull and the largest ones withstood at rest, up and down."""
+
+    pace: Callable[[Motion, float, float, float, float, Follows, float, Part], float]
+    """(state, side, u, its rise per second, time since the input last bent, how a follows, finest, part) to
+    the longest step, s; ``finest`` is what friction may ask for at most."""
+
+    at: Callable[[Part, Course, int], Part]
+    """(part, what changes along the recording, k) to the part as it is between samples k and k + 1."""
+
+
+@compiled
+def answers(y: float) -> tuple[float, float, float, float, float]:
+    """How a unit target is followed over a step of y/rate.
+
+    Half of the step: answer to a constant target and to one that rises straight from 0; the whole step: to
+    a constant, to a straight rise from 0, and to its square.
+    """
+    if y < 2e-2:
+        z = 0.5 * y
+        one, two = shares(z)
+        short, ramp = z * one, z * two
+        one, two = shares(y)
+        return short, ramp, y * one, y * two, 1.0 - 2.0 * two
+    left = np.exp(-0.5 * y)
+    short, whole = 1.0 - left, 1.0 - left * left
+    long_ramp = 1.0 - whole / y
+    return short, 1.0 - 2.0 * short / y, whole, long_ramp, 1.0 - 2.0 * long_ramp / y
+
+
+@compiled
+def shares(y: float) -> tuple[float, float]:
+    """(1 − e⁻ʸ)/y and (1 − (1 − e⁻ʸ)/y)/y for a small y, where these forms would cancel."""
+    one = 1.0 - y * (0.5 - y * (1.0 / 6.0 - y * (1.0 / 24.0 - y / 120.0)))
+    return one, 0.5 - y * (1.0 / 6.0 - y * (1.0 / 24.0 - y * (1.0 / 120.0 - y / 720.0)))
+
+
+@compiled
+def followed(
+    a: float, first: float, middle: float, last: float, whole: float, ramp: float, bend: float
+) -> float:
+    """What a becomes over a step with a parabola of targets."""
+    slope = 4.0 * middle - 3.0 * first - last
+    return a + whole * (first - a) + ramp * slope + bend * 2.0 * (first - 2.0 * middle + last)
+
+
+Step = Callable[[Motion, float, float, float, float, Follows, Part], Motion]
+"""(state, side, u, rise, h, how a follows, part) to the state h s later, while u rises by ``rise``/s."""
+
+Event = Callable[[Motion, float, float, float, float, Follows, float, Part], float]
+"""(state, side, u, rise, h, how a follows, stop, part) to a moment within h, s."""
+
+Stage = Callable[
+    [Motion, float, float, float, float, float, Follows, Stops, Part], tuple[Motion, float, float]
+]
+"""(state, side, u, rise, h, finest, how a follows, stops, part) to new state, side and time taken."""
+
+
+def stepper(laws: Laws[Part, Course]) -> Step[Part]:
+    """Compile a step without events; a part at rest stays where it is."""
+    pull, target = laws.pull, laws.target
+
+    @specialised
+    def step(s: Motion, side: float, u: float, rise: float, h: float, how: Follows, part: Part) -> Motion:
+        moves = 0.0 if side == 0.0 else 1.0
+        half = 0.5 * h
+        middle, end = u + half * rise, u + h * rise
+        short, ramp, whole, long_ramp, bend = answers(h * how.rate)
+        goal1 = target(s, u, how, part)
+        pull1 = moves * pull(s, side, u, part)
+        v2 = s.v + half * pull1
+        goal2 = target(Motion(s.x + half * s.v, v2, s.a), middle, how, part)
+        s2 = Motion(s.x + half * s.v, v2, s.a + short * (goal1 - s.a) + ramp * (goal2 - goal1))
+        pull2 = moves * pull(s2, side, middle, part)
+        v3 = s.v + half * pull2
+        goal3 = target(Motion(s.x + half * v2, v3, s.a), middle, how, part)
+        s3 = Motion(s.x + half * v2, v3, s.a + short * (goal1 - s.a) + ramp * (goal3 - goal1))
+        pull3 = moves * pull(s3, side, middle, part)
+        v4 = s.v + h * pull3
+        goal4 = target(Motion(s.x + h * v3, v4, s.a), end, how, part)
+        a4 = followed(s.a, goal1, goal3, goal4, whole, long_ramp, bend)
+        pull4 = moves * pull(Motion(s.x + h * v3, v4, a4), side, end, part)
+        x = s.x + h * (s.v + 2.0 * (v2 + v3) + v4) / 6.0
+        v = s.v + h * (pull1 + 2.0 * (pull2 + pull3) + pull4) / 6.0
+        goal = target(Motion(x, v, s.a), end, how, part)
+        return Motion(x, v, followed(s.a, goal1, 0.5 * (goal2 + goal3), goal, whole, long_ramp, bend))
+
+    return step
+
+
+def leaver(laws: Laws[Part, Course], step: Step[Part]) -> Event[Part]:
+    """Compile the moment when a resting part leaves towards ``side``, as it has at the end (Illinois)."""
+    grip = laws.grip
+
+    @specialised
+    def excess(s: Motion, u: float, side: float, part: Part) -> float:
+        pull, up, down = grip(s, u, part)
+        return pull - up if side > 0.0 else -pull - down
+
+    @specialised
+    def time_to_leave(
+        s: Motion, side: float, u: float, rise: float, h: float, how: Follows, stop: float, part: Part
+    ) -> float:
+        low, f_low = 0.0, excess(s, u, side, part)
+        if f_low >= 0.0:
+            return 0.0
+        high, f_high = h, excess(step(s, 0.0, u, rise, h, how, part), u + h * rise, side, part)
+        for _ in range(ITERATIONS):
+            if high - low < INSTANT:
+                break
+            share = min(max(-f_low / (f_high - f_low), NOT_ONE_END), 1.0 - NOT_ONE_END)
+            middle = low + share * (high - low)
+            f = excess(step(s, 0.0, u, rise, middle, how, part), u + middle * rise, side, part)
+            if f > 0.0:
+                high, f_high = middle, f
+                f_low *= 0.5
+            else:
+                low, f_low = middle, f
+                f_high *= 0.5
+        return high
+
+    return time_to_leave
+
+
+def finder(step: Step[Part]) -> Event[Part]:
+    """Compile the moment when a part stands still, or with a finite ``stop`` meets that (Illinois method)."""
+
+    @specialised
+    def time_to_event(
+        s: Motion, side: float, u: float, rise: float, h: float, how: Follows, stop: float, part: Part
+    ) -> float:
+        meets = np.isfinite(stop)
+        later = step(s, side, u, rise, h, how, part)
+        low, f_low = 0.0, (stop - s.x) * side if meets else s.v * side
+        high, f_high = h, (stop - later.x) * side if meets else later.v * side
+        close = 1e-14 * (abs(f_low) + abs(f_high))
+        for _ in range(ITERATIONS):
+            if high - low < INSTANT or f_high == f_low:
+                break
+            middle = (low * f_high - high * f_low) / (f_high - f_low)
+            there = step(s, side, u, rise, middle, how, part)
+            f = (stop - there.x) * side if meets else there.v * side
+            if abs(f) <= close:
+                return middle
+            if f > 0.0:
+                low, f_low = middle, f
+                f_high *= 0.5
+            else:
+                high, f_high = middle, f
+                f_low *= 0.5
+        return 0.5 * (low + high)
+
+    return time_to_event
+
+
+def rester(laws: Laws[Part, Course], step: Step[Part]) -> Stage[Part]:
+    """Compile a rest of h s, or until the part is torn away."""
+    grip = laws.grip
+    time_to_leave = leaver(laws, step)
+
+    @specialised
+    def rest(
+        s: Motion, side: float, u: float, rise: float, h: float, finest: float, how: Follows, stops: Stops,
+        part: Part,
+    ) -> tuple[Motion, float, float]:  # fmt: skip
+        later = step(s, 0.0, u, rise, h, how, part)
+        towards = torn(later.x, grip(later, u + h * rise, part), stops)
+        if towards == 0.0:
+            return later, 0.0, h
+        taken = time_to_leave(s, towards, u, rise, h, how, np.inf, part)
+        return step(s, 0.0, u, rise, taken, how, part), towards, taken
+
+    return rest
+
+
+def mover(laws: Laws[Part, Course], step: Step[Part]) -> Stage[Part]:
+    """Compile a motion of h s, or until the part stands still or meets a stop."""
+    grip = laws.grip
+    time_to_event = finder(step)
+
+    @specialised
+    def move(
+        s: Motion, side: float, u: float, rise: float, h: float, finest: float, how: Follows, stops: Stops,
+        part: Part,
+    ) -> tuple[Motion, float, float]:  # fmt: skip
+        later = step(s, side, u, rise, h, how, part)
+        while s.v == 0.0 and later.v * side <= 0.0:
+            # what tore it away recedes within this step: look closer, and rest if that is no motion
+            if h <= finest:
+                return step(s, 0.0, u, rise, h, how, part), 0.0, h
+            h *= 0.25
+            later = step(s, side, u, rise, h, how, part)
+        edge = stops.high if side > 0.0 else stops.low
+        if later.v * side <= 0.0:
+            h = time_to_event(s, side, u, rise, h, how, np.inf, part)
+            later = step(s, side, u, rise, h, how, part)
+            if (edge - later.x) * side >= 0.0:
+                return Motion(later.x, 0.0, later.a), 0.0, h
+        if (edge - later.x) * side >= 0.0:
+            return later, side, h
+        h = time_to_event(s, side, u, rise, h, how, edge, part)
+        later = step(s, side, u, rise, h, how, part)
+        back = -stops.restitution * later.v
+        pull, _, _ = grip(Motion(edge, 0.0, later.a), u + h * rise, part)
+        if back == 0.0 or 2.0 * abs(back) <= finest * pull * side:
+            return Motion(edge, 0.0, later.a), 0.0, h
+        return Motion(edge, back, later.a), -side, h
+
+    return move
+
+
+@compiled
+def torn(x: float, grip: tuple[float, float, float], stops: Stops) -> float:
+    """The side towards which a resting part is torn away; 0 where it holds, or leans on a stop."""
+    pull, up, down = grip
+    if pull > up and x < stops.high:
+        return 1.0
+    if -pull > down and x > stops.low:
+        return -1.0
+    return 0.0
+
+
+def advancer(laws: Laws[Part, Course]) -> Callable[..., tuple[Motion, float]]:
+    """Compile a stretch of h s on which the input is straight, through all stops and starts."""
+    follow, settled, grip, pace = laws.follow, laws.settled, laws.grip, laws.pace
+    step = stepper(laws)
+    rest, move = rester(laws, step), mover(laws, step)
+
+    @specialised
+    def advance(
+        s: Motion, side: float, u: float, rise: float, h: float, finest: float, stops: Stops, part: Part
+    ) -> tuple[Motion, float]:
+        t = 0.0
+        while h - t > INSTANT:
+            now = u + t * rise
+            how = follow(s, part)
+            if how.rate * h > AT_ONCE:
+                how = Follows(np.inf, how.gauge, how.bias)
+                s = Motion(s.x, s.v, settled(s, now, part))
+            if side == 0.0:
+                side = torn(s.x, grip(s, now, part), stops)
+            size = min(h - t, pace(s, side, now, rise, t, how, finest, part))
+            if side == 0.0:
+                s, side, taken = rest(s, side, now, rise, size, finest, how, stops, part)
+            else:
+                s, side, taken = move(s, side, now, rise, size, finest, how, stops, part)
+            t += taken
+        return s, side
+
+    return advance
+
+
+@compiled
+def stretch(node_t: FloatArray, values: FloatArray, node: int, now: float) -> tuple[float, float]:
+    """Input at ``now`` and its rise per second in the stretch before ``node`` (0: before all)."""
+    if node == 0:
+        return values[0], 0.0
+    if node == node_t.size:
+        return values[node - 1], 0.0
+    h = node_t[node] - node_t[node - 1]
+    rise = (values[node] - values[node - 1]) / h if h > 0.0 else 0.0
+    return values[node - 1] + rise * (now - node_t[node - 1]), rise
+
+
+Run = Callable[
+    [
+        FloatArray, FloatArray, FloatArray, IntArray, IntArray, FloatArray, Stops, Part, Course, FloatArray
+    ],
+    None,
+]  # fmt: skip
+"""(t, node_t, values, first, last, states, stops, part, course, out) to nothing.
+
+``t`` (n,) are the times of the samples; the input is straight between ``node_t`` (m,) and its ``values``
+(m,), jumps where two nodes share a moment, and keeps its first and last value before and after. Window w
+covers the samples first[w] … last[w] − 1 and begins with states[w] = (x, v, a); ``out`` (rows of all
+windows after each other, 3) gets x, v, a. What runs away to infinity stays where it was last a number.
+"""
+
+
+def integrator(laws: Laws[Part, Course]) -> Run[Part, Course]:
+    """Compile the simulation of windows of a recording for a kernel of these laws, which calls it."""
+    advance, at = advancer(laws), laws.at
+
+    @specialised
+    def run(
+        t: FloatArray, node_t: FloatArray, values: FloatArray, first: IntArray, last: IntArray,
+        states: FloatArray, stops: Stops, part: Part, course: Course, out: FloatArray,
+    ) -> None:  # fmt: skip
+        finest = FINEST * (t[-1] - t[0]) / max(t.size - 1, 1)
+        row = 0
+        for w in range(first.size):
+            now = t[first[w]]
+            node = np.searchsorted(node_t, now, side="right")
+            s = Motion(min(max(states[w, 0], stops.low), stops.high), states[w, 1], states[w, 2])
+            side = np.sign(s.v)
+            for k in range(first[w], last[w]):
+                out[row, 0], out[row, 1], out[row, 2] = s.x, s.v, s.a
+                row += 1
+                if k == last[w] - 1:
+                    break
+                here, before = at(part, course, k), s
+                while now < t[k + 1]:
+                    until = min(t[k + 1], node_t[node]) if node < node_t.size else t[k + 1]
+                    if until > now:
+                        u, rise = stretch(node_t, values, node, now)
+                        s, side = advance(s, side, u, rise, until - now, finest, stops, here)
+                        now = until
+                    while node < node_t.size and node_t[node] <= now:
+                        node += 1
+                if not np.isfinite(s.x + s.v + s.a):
+                    s = before
+
+    return run
