@@ -269,7 +269,7 @@ def fit(
     window: Annotated[
         float | None, typer.Option(help="Length of the fitted windows, s (default: several, compared).")
     ] = None,
-    intervals: Annotated[str, typer.Option(help="wald, profile (slower) or bootstrap.")] = "wald",
+    intervals: Annotated[str, typer.Option(help="auto, wald, profile (slower) or bootstrap.")] = "auto",
     simultaneous: Annotated[
         bool, typer.Option("--simultaneous", help="Intervals that hold for all parameters together.")
     ] = False,

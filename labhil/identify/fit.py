@@ -57,7 +57,7 @@ class Options:
     """
 
     window: float | None = None
-    intervals: Intervals = Intervals.WALD
+    intervals: Intervals = Intervals.AUTO
     simultaneous: bool = False
     estimator: str = DEFAULT
     seed: int = 0

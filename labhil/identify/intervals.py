@@ -27,6 +27,8 @@ CLOSE = 0.06
 class Intervals(StrEnum):
     """How intervals are made."""
 
+    AUTO = "auto"
+    """Profiles for terms with a shape (Stribeck friction), whose cost is no parabola; Wald for the rest."""
     WALD = "wald"
     PROFILE = "profile"
     BOOTSTRAP = "bootstrap"

@@ -61,9 +61,15 @@ def _intervals(
         return wald
     inflation = np.diag(robust) / np.maximum(np.diag(classical), 1e-300)
     scaled = classical / np.outer(problem.scale, problem.scale)
+    followed = np.isfinite(errors) & (_bent(fitted) if method is Intervals.AUTO else True)
     return [
-        profile_interval(problem, solution, j, scaled, float(inflation[j]), reach)
-        if np.isfinite(errors[j])
-        else wald[j]
+        profile_interval(problem, solution, j, scaled, float(inflation[j]), reach) if followed[j] else wald[j]
         for j in range(len(values))
     ]
+
+
+def _bent(fitted: Fitted) -> np.ndarray:
+    """Which free parameters belong to a term with a shape, (P,) of bool."""
+    model = fitted.problem.model
+    shaped = {key for key, term in model.terms.items() if any(p.shape for p in term.parameters)}
+    return np.array([model.parameters[i].term in shaped for i in fitted.problem.free], dtype=bool)

@@ -8,8 +8,10 @@ import numpy as np
 from scipy.signal import lfilter
 
 from labhil.campaign.benchmark.trial import Case, Simulated
+from labhil.kinds import KINDS
 from labhil.physics.model import Record
 from labhil.plants.ball_beam import BallBeamPlant
+from labhil.plants.rigs import plant_of
 from labhil.signals import FloatArray
 
 COLOUR = 0.7
@@ -77,6 +79,127 @@ def ball_beam(seed: int, coloured: bool) -> Simulated:
     return Simulated(record, test, np.array([np.hypot(4e-4, STEP / np.sqrt(12.0))]))
 
 
+MOTOR_TRUTH: Mapping[str, float] = {
+    "inertia": 0.1,
+    "torque_constant": 0.2,
+    "inductance": 0.1,
+    "resistance": 1.5,
+    "viscous_friction.coefficient": 0.05,
+    "coulomb_friction.level": 0.2,
+    "stribeck_friction.level": -0.1,
+    "stribeck_friction.velocity": 0.01,
+    "quadratic_viscous_friction.coefficient": 0.05,
+    "cubic_viscous_friction.coefficient": 0.02,
+}
+"""Case two of the reference text (its T_s of 0.1 and T_c of 0.2 make a Stribeck level of −0.1 N·m)."""
+
+MOTOR_TERMS = (
+    "viscous_friction",
+    "coulomb_friction",
+    "stribeck_friction",
+    "quadratic_viscous_friction",
+    "cubic_viscous_friction",
+)
+FROM_SPEED_UNKNOWN = tuple(
+    key for key in MOTOR_TRUTH if key not in ("torque_constant", "stribeck_friction.velocity")
+)
+AXIS_TRUTH: Mapping[str, float] = {
+    "moving_mass": 95.0,
+    "viscous_friction.coefficient": 204.0,
+    "coulomb_friction.level": 20.4,
+    "constant_force.force": -3.2,
+}
+SOLENOID_TRUTH: Mapping[str, float] = {
+    "moving_mass": 0.064,
+    "spring_stiffness": 6850.0,
+    "viscous_friction.coefficient": 5.0,
+    "coulomb_friction.level": 2.0,
+    "stribeck_friction.level": 2.0,
+    "stribeck_friction.velocity": 0.1,
+}
+SOLENOID_TERMS = ("viscous_friction", "coulomb_friction", "stribeck_friction")
+
+
+def levels(n: int, dwell: int, reach: float, random: np.random.Generator) -> FloatArray:
+    """A pseudo-random multilevel sequence (n,) between ± ``reach``, each level held for ``dwell`` samples."""
+    return np.repeat(random.uniform(-reach, reach, -(-n // dwell)), dwell)[:n]
+
+
+def driven(
+    kind: str,
+    inputs: FloatArray,
+    period: float,
+    parameters: Mapping[str, float],
+    terms: tuple[str, ...],
+    decibels: float,
+    coloured: bool,
+    random: np.random.Generator,
+    channels: tuple[tuple[str, str], ...],
+) -> tuple[Record, FloatArray]:
+    """A record of a plant that ``inputs`` (n,) drive, with noise so many dB of power under each channel."""
+    silent = {f"{name}_noise": 0.0 for name, _ in channels}
+    trajectory = plant_of(kind, {**parameters, **silent}, terms, 0, period).simulate(inputs)
+    clean = np.column_stack([trajectory.measured[name] for name, _ in channels])
+    noise = clean.std(axis=0) * 10.0 ** (-decibels / 20.0)
+    added = np.column_stack([noise_like(len(clean), s, coloured, random) for s in noise])
+    names = tuple(name for name, _ in channels)
+    units = tuple(unit for _, unit in channels)
+    signal = KINDS[kind].inputs[0]
+    record = Record(
+        trajectory.t, inputs[:, None], clean + added, (signal.name,), names, units, (signal.hold,)
+    )
+    return record, np.asarray(noise)
+
+
+def motor(seed: int, coloured: bool) -> Simulated:
+    """Twenty seconds of voltage levels within ± 5 V, 28 dB, speed and current."""
+    return _motor(seed, coloured, (("speed", "rad/s"), ("current", "A")))
+
+
+def motor_from_speed(seed: int, coloured: bool) -> Simulated:
+    """The same with the speed alone."""
+    return _motor(seed, coloured, (("speed", "rad/s"),))
+
+
+def _motor(seed: int, coloured: bool, channels: tuple[tuple[str, str], ...]) -> Simulated:
+    random = np.random.default_rng([seed, coloured])
+    (record, noise), (test, _) = (
+        driven(
+            "dc_motor", levels(n, 50, 5.0, random), 0.01, {}, MOTOR_TERMS, 28.0, coloured, random, channels
+        )
+        for n in (2000, 1000)
+    )
+    return Simulated(record, test, noise)
+
+
+def axis(seed: int, coloured: bool) -> Simulated:
+    """Ten seconds of force levels within ± 80 N at 200 Hz, 60 dB (an encoder is precise)."""
+    random = np.random.default_rng([seed, coloured])
+    terms = ("viscous_friction", "coulomb_friction", "constant_force")
+    values = {"constant_force.force": -3.2}
+    channels = (("position", "m"),)
+    (record, noise), (test, _) = (
+        driven("axis", levels(n, 60, 80.0, random), 0.005, values, terms, 60.0, coloured, random, channels)
+        for n in (2000, 1000)
+    )
+    return Simulated(record, test, noise)
+
+
+def solenoid(seed: int, coloured: bool) -> Simulated:
+    """Four seconds of two sines (1 and 4 Hz, as in the text) at 1 kHz, 25 dB, clear of the stops."""
+    random = np.random.default_rng([seed, coloured])
+    channels = (("plunger_position", "m"),)
+    records = []
+    for n in (4000, 2000):
+        t = 0.001 * np.arange(n)
+        a, b = random.uniform(0.0, 2.0 * np.pi, 2)
+        current = 1.0 + 0.33 * np.sin(2.0 * np.pi * t + a) + 0.2 * np.sin(8.0 * np.pi * t + b)
+        records.append(
+            driven("solenoid", current, 0.001, {}, SOLENOID_TERMS, 25.0, coloured, random, channels)
+        )
+    return Simulated(records[0][0], records[1][0], records[0][1])
+
+
 CASES: Mapping[str, Case] = {
     case.name: case
     for case in (
@@ -87,6 +210,39 @@ CASES: Mapping[str, Case] = {
             ("quadratic_viscous_friction", "constant_force", "time_delay"),
             BALL_BEAM_TRUTH,
             ball_beam,
+        ),
+        Case(
+            "dc_motor",
+            '[rig]\nkind = "dc_motor"\n',
+            MOTOR_TERMS,
+            ("constant_force", "time_delay", "brush_drop"),
+            MOTOR_TRUTH,
+            motor,
+        ),
+        Case(
+            "dc_motor_speed_only",
+            '[rig]\nkind = "dc_motor"\n',
+            MOTOR_TERMS,
+            (),
+            MOTOR_TRUTH,
+            motor_from_speed,
+            unknown=FROM_SPEED_UNKNOWN,
+        ),
+        Case(
+            "axis",
+            '[rig]\nkind = "axis"\n',
+            ("viscous_friction", "coulomb_friction", "constant_force"),
+            ("quadratic_viscous_friction", "friction_asymmetry", "time_delay"),
+            AXIS_TRUTH,
+            axis,
+        ),
+        Case(
+            "solenoid",
+            '[rig]\nkind = "solenoid"\n[known]\nstop_low = 0.0\nstop_high = 0.005\n',
+            SOLENOID_TERMS,
+            ("spring_preload", "time_delay", "eddy_current"),
+            SOLENOID_TRUTH,
+            solenoid,
         ),
     )
 }
