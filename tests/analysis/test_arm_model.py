@@ -129,7 +129,7 @@ def polished(model, record, terms, start, keys):
         theta[places] = z * scale
         return solved(model, record, terms, theta)[1].ravel()
 
-    found = optimize.least_squares(residuals, start[places] / scale, diff_step=1e-4, xtol=1e-8)
+    found = optimize.least_squares(residuals, start[places] / scale, diff_step=1e-4, xtol=1e-6)
     theta = start.copy()
     theta[places] = found.x * scale
     return solved(model, record, terms, theta)[0]
