@@ -6,15 +6,14 @@ laptop that fits loads no bus. Results go to stdout, everything else to stderr.
 
 from __future__ import annotations
 
-import json
 import sys
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
+from labhil.commands import add_studies
+from labhil.console import refuse_unwritable, results_console, split_names, status, tell, write_json
 from labhil.errors import LabhilError, UsageError
 
 app = typer.Typer(
@@ -34,38 +33,6 @@ def main() -> None:
     except LabhilError as error:
         print(error, file=sys.stderr)
         sys.exit(error.exit_status)
-
-
-def write_json(data: dict[str, Any], path: Path | None = None) -> None:
-    """Write a result as JSON, to stdout or a file; numbers that are not finite have been made None before."""
-    text = json.dumps(data, ensure_ascii=False, allow_nan=False, indent=1)
-    if path is None:
-        print(text)
-        return
-    try:
-        path.write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise UsageError(f"{path}: the result cannot be written: {error}") from error
-
-
-def refuse_unwritable(*paths: Path | None) -> None:
-    """Raise UsageError for a result's path whose folder is not there, before the work and not after it."""
-    for path in paths:
-        if path is not None and not path.parent.is_dir():
-            raise UsageError(f"{path}: expected a folder {path.parent} to write into, found none")
-
-
-def tell(lines: Iterable[str]) -> None:
-    """Print what a person should know beside the result."""
-    for line in lines:
-        print(line, file=sys.stderr)
-
-
-def split_names(text: str | None) -> tuple[str, ...] | None:
-    """Return the names in ``"a,b,c"``; None for None, nothing for an empty text."""
-    if text is None:
-        return None
-    return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
 def parse_settings(settings: list[str]) -> dict[str, float]:
@@ -352,22 +319,4 @@ def demo(
         run_demo(out, seed, say)
 
 
-@contextmanager
-def status() -> Iterator[Callable[[str], None]]:
-    """Show what is being done on stderr: a line that changes on a terminal, lines elsewhere."""
-    from rich.console import Console
-
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield lambda text: console.print(text, markup=False, highlight=False, soft_wrap=True)
-        return
-    with console.status("starting") as line:
-        yield line.update
-
-
-def results_console() -> Any:
-    """A console for results on stdout: as wide as the terminal, wide enough for a table elsewhere."""
-    from rich.console import Console
-
-    console = Console()
-    return console if console.is_terminal else Console(width=140)
+add_studies(app)

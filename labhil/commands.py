@@ -1,0 +1,93 @@
+"""Commands that are studies of their own: baselines, benchmarks, designs, the reference text."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from labhil.console import refuse_unwritable, results_console, split_names, status, tell, write_json
+
+
+def add_studies(app: typer.Typer) -> None:
+    """Register these commands."""
+    app.command(epilog="Example: labhil linear run.mcap --test test.mcap --models arx,oe")(linear)
+    app.command(epilog="Example: labhil optimise solenoid --plot design.png")(optimise)
+    app.command(epilog="Example: labhil benchmark dc_motor --recordings 20 -o bench")(benchmark)
+
+
+def linear(
+    recording: Annotated[Path, typer.Argument(help="A recording (.mcap).")],
+    *,
+    rig: Annotated[Path | None, typer.Option(help="Rig file; default: the recording's own.")] = None,
+    models: Annotated[str | None, typer.Option(help="Which: a,b,… (default: all).")] = None,
+    test: Annotated[Path | None, typer.Option(help="A separate recording to judge on.")] = None,
+    holdout: Annotated[float, typer.Option(help="Share held out at the end; not used with --test.")] = 0.3,
+    json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
+) -> None:
+    """Fit linear and black-box baselines, to see what physics is worth: ARX, OE, state space, NARX, …"""
+    from labhil.identify.linear import linear_study, study_json, study_text
+    from labhil.report.study import load_material
+
+    refuse_unwritable(json_path)
+    material = load_material(recording, rig, test, holdout)
+    tell(material.losses())
+    with status() as say:
+        rows = linear_study(material.learn, material.judge, split_names(models), progress=say)
+    for line in study_text(rows):
+        print(line)
+    if json_path is not None:
+        write_json({"schema": "labhil.linear/1", "models": study_json(rows)}, json_path)
+
+
+def optimise(
+    what: Annotated[str, typer.Argument(help="solenoid: the geometry of a solenoid (Appendix A).")],
+    *,
+    seed: Annotated[int, typer.Option(help="Seed of the swarms.")] = 0,
+    field: Annotated[
+        bool, typer.Option("--field", help="Check a few points by a field solver (labhil[field]).")
+    ] = False,
+    plot: Annotated[Path | None, typer.Option(help="Draw it here (PNG).")] = None,
+    json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
+) -> None:
+    """Optimise a design: largest force against flattest force curve, front and sensitivities."""
+    from labhil.errors import UnknownNameError
+    from labhil.optimise.show import show
+    from labhil.optimise.study import run
+
+    if what != "solenoid":
+        raise UnknownNameError("design", what, ("solenoid",))
+    refuse_unwritable(json_path, plot)
+    with status() as say:
+        study = run(seed, say, field=field)
+    show(study, results_console())
+    if json_path is not None:
+        write_json(study.to_json(), json_path)
+    if plot is not None:
+        from labhil.optimise.plot import plot as draw
+
+        draw(study, plot)
+
+
+def benchmark(
+    cases: Annotated[list[str] | None, typer.Argument(help="Which (default: all).")] = None,
+    *,
+    recordings: Annotated[int, typer.Option(help="With white noise, and as many with coloured.")] = 150,
+    out: Annotated[Path, typer.Option("-o", "--out", help="Where results are kept.")] = Path(
+        "labhil-benchmark"
+    ),
+) -> None:
+    """Measure the statistics on simulated recordings with known answers: errors, coverage, decisions.
+
+    Every finished recording is kept at once; the same command goes on where it was interrupted.
+    """
+    from labhil.campaign.benchmark.cases import CASES
+    from labhil.campaign.benchmark.run import run_benchmark
+    from labhil.campaign.benchmark.summary import show
+
+    with status() as say:
+        summaries = run_benchmark(cases or list(CASES), recordings, out, say)
+    console = results_console()
+    for summary in summaries:
+        console.print(show(summary))
