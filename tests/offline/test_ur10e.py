@@ -1,12 +1,16 @@
 """A real UR10e whose masses nobody states: learned from one recording, predicted on others.
 
-The figures are RMS error over RMS current of a joint where that joint moves (the published ones do not say
-what they leave out; where a joint rests, dry friction may take any value and no model can be judged).
+The figures are RMS error over RMS current of a joint where that joint moves: where it rests, dry friction
+may take any value and no model can be judged. How the published figures were filtered and what they leave
+out is not known, and no definition that was tried reproduces all six of their baseline. Currents filtered
+like the model's (the model's own metric) give lower figures than currents as they were recorded, so both
+are held against them: the first must be below, the second may be a little above the best of them.
 """
 
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -74,6 +78,12 @@ def learned(model, record, terms):
     return theta
 
 
+def as_recorded(prepared, record):
+    """The same rows with the currents as they were recorded."""
+    outputs = np.column_stack([np.interp(prepared.t, record.t, column) for column in record.outputs.T])
+    return replace(prepared, outputs=outputs)
+
+
 def error(model, theta, record):
     """RMS error over RMS current of each joint where it moves, %."""
     judged = record.motion.judged[record.places]
@@ -84,10 +94,12 @@ def error(model, theta, record):
 def test_held_out_errors_are_below_the_published_figures(arm):
     record = arm(LEARNED)
     model = ArmModel(load_rig(RIG), record)
-    learn, judge, points = (model.prepare(r) for r in (record, arm(FOURIER), arm(POINT_TO_POINT)))
+    fourier = arm(FOURIER)
+    learn, judge, points = (model.prepare(r) for r in (record, fourier, arm(POINT_TO_POINT)))
+    rough = as_recorded(judge, fourier)
     terms = [*BASELINE, "load_dependent_friction", "cubic_viscous_friction"]
     found = {
-        name: [error(model, theta, r) for r in (judge, points)]
+        name: [error(model, theta, r) for r in (judge, points, rough)]
         for name, theta in (
             ("baseline", learned(model, learn, BASELINE)),
             ("load", learned(model, learn, [*BASELINE, "load_dependent_friction"])),
@@ -97,6 +109,9 @@ def test_held_out_errors_are_below_the_published_figures(arm):
     }
     assert np.all(found["baseline"][0] < PUBLISHED_BASELINE), found
     assert np.all(found["nonlinear"][0] < PUBLISHED_BEST), found
+    assert np.all(found["baseline"][2] < PUBLISHED_BASELINE), found
+    assert np.all(found["rotors"][2] < 1.12 * PUBLISHED_BEST), found
+    assert np.all(found["rotors"][2][[2, 3, 5]] < PUBLISHED_BEST[[2, 3, 5]]), found
     # friction grows with the load where there is one: shoulder and elbow, in either kind of motion
     for kind in (0, 1):
         better = found["load"][kind] / found["baseline"][kind]
