@@ -41,6 +41,9 @@ POSES = 200
 SMALLEST = 1e-8
 SIGNIFICANT = 3.0
 ROUNDS = 4
+ALIKE = 1e-3
+"""A column of which this share of its length is its own is a combination of others."""
+
 FAINTEST = 1e-10
 """Of the largest eigenvalue of the scaled normal equations; less is unknown."""
 
@@ -158,13 +161,30 @@ class NormalEquations:
         return values, covariance
 
 
+def independent(equations: NormalEquations, candidates: int) -> list[int]:
+    """Columns of which none is a combination of the others in these data: the first ``candidates`` in order.
+
+    All columns beyond those are kept. Where few joints move, many parameters act alike; those nearer to
+    the base then stand for the others.
+    """
+    gram = np.einsum("jpq,j->pq", equations.gram, 1.0 / np.maximum(equations.power, 1e-12))
+    size = np.sqrt(np.where(np.diag(gram) > 0.0, np.diag(gram), 1.0))
+    gram = gram / np.outer(size, size)
+    chosen = list(range(candidates, len(gram)))
+    for c in range(candidates):
+        shares = np.linalg.lstsq(gram[np.ix_(chosen, chosen)], gram[chosen, c], rcond=FAINTEST)[0]
+        if gram[c, c] - gram[c, chosen] @ shares > ALIKE**2:
+            chosen.append(c)
+    return sorted(chosen)
+
+
 def significant(equations: NormalEquations, candidates: int, memory: float) -> list[int]:
     """Which of the first ``candidates`` columns these data can tell from zero.
 
-    The least significant is taken out as long as it is under ``SIGNIFICANT`` standard errors; variances
-    are ``memory`` times those of white residuals.
+    Of those that act alike one is left; then the least significant is taken out as long as it is under
+    ``SIGNIFICANT`` standard errors. Variances are ``memory`` times those of white residuals.
     """
-    chosen = list(range(equations.moment.shape[1]))
+    chosen = independent(equations, candidates)
     while True:
         values, covariance = equations.solved(chosen)
         ratio = np.abs(values) / np.sqrt(memory * np.maximum(np.diag(covariance), 1e-300))
