@@ -12,7 +12,7 @@ import numpy as np
 
 from labhil.physics import sliding
 from labhil.physics.driven import DrivenPath
-from labhil.physics.friction_terms import friction_terms
+from labhil.physics.friction_terms import friction_terms, load_dependent_friction
 from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.path_terms import input_terms, output_terms
 from labhil.physics.terms import Enters, Parameter, Term, Yardstick
@@ -21,6 +21,9 @@ from labhil.rig import RigFile
 from labhil.signals import FloatArray
 
 TIME_CONSTANTS = 3.0
+REFERENCE = 20.0
+"""Temperature (°C) at which viscous friction is what it is said to be."""
+
 STATE_SPAN = 0.05
 """Seconds over which the first position and velocity of a window are guessed."""
 
@@ -105,13 +108,14 @@ def catalogue(s: Sizes) -> dict[str, Term]:
         ),
         Term(
             "temperature_dependent_friction", Enters.FORCE, "viscous friction that falls as the axis warms",
-            "c(T) = c·exp(−α·(T − T_0)), T_0 the first sample's", "viscosity of grease",
+            "c(T) = c·exp(−α·(T − 20 °C))", "viscosity of grease",
             "long runs that warm the axis",
             (Parameter("temperature_dependent_friction.rate", "1/K", 0.02, -0.2, 0.2),),
             needs=("temperature",),
         ),
     )  # fmt: skip
     terms = friction_terms("N", "m", level, s.speed) + loads + input_terms("N")
+    terms += (load_dependent_friction("the drive's force"),)
     terms += output_terms("position", "m", s.span)
     return {term.key: term for term in terms}
 
@@ -241,8 +245,7 @@ class AxisModel:
         nodes, values = self._path.nodes(record, 0, lambda name: self._values.of(theta, name))
         change = np.ones(len(record))
         if rate := self._values.of(theta, "temperature_dependent_friction.rate"):
-            warmth = record.auxiliary["temperature"]
-            change = np.exp(-rate * (warmth - warmth[0]))
+            change = np.exp(-rate * (record.auxiliary["temperature"] - REFERENCE))
         out = np.empty((len(windows.rows), 3))
         sliding.simulate(
             record.t, nodes, values, windows.first, windows.last, states, self._table(theta),

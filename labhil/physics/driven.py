@@ -20,7 +20,8 @@ WAY_IN = (
     "time_delay.delay",
 )
 REMEMBERED = 32
-LAG_PARTS = 4
+LAG_PARTS = 2
+"""Into how many straight lines a stretch is cut behind a lag."""
 
 Value = Callable[[str], float]
 
@@ -59,13 +60,20 @@ def effective(record: Record, column: int, value: Value) -> input_path.Nodes:
     t, u = input_path.saturation(t, u, inverse_limit) if inverse_limit else (t, u)
     t, u = input_path.rate_limit(t, u, inverse_rate) if inverse_rate else (t, u)
     if time_constant:
-        t, u = input_path.refined(t, u, LAG_PARTS)
-        u = input_path.first_order_lag(t, u, time_constant)
+        t, u = input_path.lag_in_lines(t, u, time_constant, LAG_PARTS)
     return t + value("time_delay.delay"), u
 
 
 def lagged(record: Record, windows: Windows, values: FloatArray, time_constant: float) -> FloatArray:
-    """An output (N,) behind a sensor's first-order lag, which begins settled in every window."""
+    """An output (N,) behind a sensor's first-order lag, which every window finds as after a steady slope."""
     edges = np.flatnonzero(np.diff(windows.owner)) + 1
     pieces = zip(np.split(record.t[windows.rows], edges), np.split(values, edges), strict=True)
-    return np.concatenate([input_path.first_order_lag(t, part, time_constant) for t, part in pieces])
+    return np.concatenate([_behind(t, part, time_constant) for t, part in pieces])
+
+
+def _behind(t: FloatArray, x: FloatArray, time_constant: float) -> FloatArray:
+    settled = input_path.first_order_lag(t, x, time_constant)
+    if len(t) < 2:
+        return settled
+    slope = (x[1] - x[0]) / (t[1] - t[0])
+    return np.asarray(settled - slope * time_constant * np.exp(-(t - t[0]) / time_constant))

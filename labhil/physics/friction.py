@@ -20,8 +20,8 @@ from labhil.signals import FloatArray
     QUADRATIC,
     CUBIC,
     ASYMMETRIC_VISCOUS,
-    ASYMMETRIC_LEVEL,
     DRY_SLOPE,
+    LOAD_SHARE,
 ) = range(10)
 SIZE = 10
 
@@ -33,10 +33,15 @@ NAMES = {
     QUADRATIC: "quadratic_viscous_friction.coefficient",
     CUBIC: "cubic_viscous_friction.coefficient",
     ASYMMETRIC_VISCOUS: "friction_asymmetry.coefficient",
-    ASYMMETRIC_LEVEL: "friction_asymmetry.level",
     DRY_SLOPE: "position_dependent_friction.slope",
 }
-"""Parameters of the places, all but the Stribeck velocity in units of force."""
+"""Parameters of the places, in units of force."""
+
+PURE = {
+    STRIBECK_VELOCITY: "stribeck_friction.velocity",
+    LOAD_SHARE: "load_dependent_friction.coefficient",
+}
+"""Parameters that are not divided by the inertia."""
 
 NARROW = 30.0
 """Stribeck velocities beyond which nothing is left of the Stribeck level."""
@@ -62,17 +67,16 @@ def thinned(f: Law, change: float) -> Law:
 
 
 @compiled
-def hold(x: float, side: float, f: Law) -> float:
-    """Drive towards ``side`` that a part at rest at ``x`` just withstands; never negative."""
-    level = f[COULOMB] + f[STRIBECK] + f[STATIC] + side * f[ASYMMETRIC_LEVEL] + f[DRY_SLOPE] * x
-    return max(level, 0.0)
+def hold(x: float, load: float, f: Law) -> float:
+    """Largest pull that a part at rest at ``x`` under ``load`` withstands; never negative."""
+    return max(f[COULOMB] + f[STRIBECK] + f[STATIC] + f[DRY_SLOPE] * x + f[LOAD_SHARE] * load, 0.0)
 
 
 @compiled
-def friction(x: float, v: float, side: float, f: Law) -> float:
-    """Deceleration of a part that moves towards ``side`` with ``v``."""
+def friction(x: float, v: float, side: float, load: float, f: Law) -> float:
+    """Deceleration of a part that moves towards ``side`` with ``v``; ``load`` is the size of its drive."""
     speed = abs(v)
-    dry = f[COULOMB] + side * f[ASYMMETRIC_LEVEL] + f[DRY_SLOPE] * x
+    dry = f[COULOMB] + f[DRY_SLOPE] * x + f[LOAD_SHARE] * load
     if f[STRIBECK] != 0.0 and speed < NARROW * f[STRIBECK_VELOCITY]:
         dry += f[STRIBECK] * np.exp(-speed / f[STRIBECK_VELOCITY])
     viscous = v * (f[VISCOUS] + f[QUADRATIC] * speed + f[CUBIC] * v * v) + f[ASYMMETRIC_VISCOUS] * speed

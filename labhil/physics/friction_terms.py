@@ -12,6 +12,19 @@ from labhil.physics.terms import Enters, Parameter, Term, Yardstick
 SOURCE = "eq. 4.17 of the reference text, its Stribeck exponent with the minus sign"
 
 
+def load_dependent_friction(drive: str) -> Term:
+    """The term of a part whose drive (named ``drive``) presses what rubs."""
+    return Term(
+        "load_dependent_friction",
+        Enters.FORCE,
+        f"dry friction that grows with {drive}",
+        "F = μ·|F_drive|·sgn v",
+        "Coulomb's law where the drive itself presses the surfaces (gears, belts, side pull)",
+        "small and large drives at the same speeds",
+        (Parameter("load_dependent_friction.coefficient", "1", 0.1, 0.0, 0.9, starts=(0.05,)),),
+    )
+
+
 def friction_terms(force: str, length: str, level: float, speed: float) -> tuple[Term, ...]:
     """Terms for one moving part.
 

@@ -132,3 +132,41 @@ def first_order_lag(t: FloatArray, u: FloatArray, time_constant: float) -> Float
         decay = np.exp(-h / time_constant)
         y[i] = u[i] - slope * time_constant + (y[i - 1] - u[i - 1] + slope * time_constant) * decay
     return y
+
+
+@compiled
+def lag_in_lines(t: FloatArray, u: FloatArray, time_constant: float, parts: int) -> Nodes:
+    """Nodes of y from T·ẏ + y = u, each stretch cut into ``parts`` with a straight line in each.
+
+    y is solved exactly; a line is the best one through it (least squares, so that its mean and its first
+    moment are y's own), and jumps a little from part to part. Begins settled at u[0].
+    """
+    times, values = np.empty(2 * parts * t.size), np.empty(2 * parts * t.size)
+    times[0], values[0] = t[0], u[0]
+    y, count = u[0], 1
+    for i in range(1, t.size):
+        h = (t[i] - t[i - 1]) / parts
+        if h <= 0.0:
+            continue
+        rise = (u[i] - u[i - 1]) / parts
+        z = h / time_constant
+        decay = np.exp(-z)
+        mean, slope = line_through_decay(z, decay)
+        for j in range(parts):
+            start = u[i - 1] + j * rise - rise / z
+            away = y - start
+            times[count], values[count] = t[i - 1] + j * h, start + away * (mean - 0.5 * slope)
+            end = start + rise
+            times[count + 1], values[count + 1] = t[i - 1] + (j + 1) * h, end + away * (mean + 0.5 * slope)
+            y = end + away * decay
+            count += 2
+    return times[:count], values[:count]
+
+
+@compiled
+def line_through_decay(z: float, decay: float) -> tuple[float, float]:
+    """Mean and slope of the straight line that fits e^(−z·s) best for s from 0 to 1; ``decay`` is e^(−z)."""
+    if z < 0.02:
+        return 1.0 - z * (0.5 - z * (1.0 / 6.0 - z / 24.0)), -z * (1.0 - z * (0.5 - z * 0.15))
+    mean = (1.0 - decay) / z
+    return mean, 12.0 * ((mean - decay) / z - 0.5 * mean)

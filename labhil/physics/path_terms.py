@@ -88,6 +88,19 @@ def input_terms(unit: str) -> tuple[Term, ...]:
     )
 
 
+def offset_term(channel: str, unit: str, size: float) -> Term:
+    """An offset of the sensor of ``channel``, for channels whose zero means something."""
+    return Term(
+        "sensor_offset",
+        Enters.OUTPUT,
+        f"an offset of the sensor of {channel}",
+        "y = x + y_0",
+        "standard",
+        "rest at a known place, or motion both ways",
+        (Parameter("sensor_offset.offset", unit, size),),
+    )
+
+
 def output_terms(channel: str, unit: str, span: float) -> tuple[Term, ...]:
     """Terms between the plant and the samples of ``channel``, whose values span about ``span``."""
     return (

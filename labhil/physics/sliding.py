@@ -100,10 +100,9 @@ def stiffness(u: float, x: float, p: Slider) -> float:
 
 
 @compiled
-def pushed(u: float, x: float, p: Slider) -> float:
-    """Acceleration by everything but friction, m/s²."""
-    part = p.part
-    push = driven(u, x, p.table) + part.force - x * (part.spring + part.hardening * x * x)
+def pushed(drive: float, x: float, part: Part) -> float:
+    """Acceleration by everything but friction, of which ``drive`` is the drive's part, m/s²."""
+    push = drive + part.force - x * (part.spring + part.hardening * x * x)
     if part.cogging_sine != 0.0 or part.cogging_cosine != 0.0:
         turned = part.cogging_order * x
         push -= part.cogging_sine * np.sin(turned) + part.cogging_cosine * np.cos(turned)
@@ -113,13 +112,15 @@ def pushed(u: float, x: float, p: Slider) -> float:
 @compiled
 def pull(s: Motion, side: float, u: float, p: Slider) -> float:
     """Acceleration of a moving part, m/s²."""
-    return pushed(u, s.x, p) - friction(s.x, s.v, side, p.law)
+    drive = driven(u, s.x, p.table)
+    return pushed(drive, s.x, p.part) - friction(s.x, s.v, side, abs(drive), p.law)
 
 
 @compiled
-def grip(s: Motion, u: float, p: Slider) -> tuple[float, float, float]:
-    """Acceleration that a part at rest would have, and what it withstands either way."""
-    return pushed(u, s.x, p), hold(s.x, 1.0, p.law), hold(s.x, -1.0, p.law)
+def grip(s: Motion, u: float, p: Slider) -> tuple[float, float]:
+    """Acceleration that a part at rest would have, and the largest that it withstands."""
+    drive = driven(u, s.x, p.table)
+    return pushed(drive, s.x, p.part), hold(s.x, abs(drive), p.law)
 
 
 @compiled

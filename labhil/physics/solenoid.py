@@ -16,9 +16,9 @@ import numpy as np
 from labhil.errors import RigFileError
 from labhil.physics import input_path, sliding
 from labhil.physics.driven import DrivenPath
-from labhil.physics.friction_terms import friction_terms
+from labhil.physics.friction_terms import friction_terms, load_dependent_friction
 from labhil.physics.model import Metric, Record, Windows
-from labhil.physics.path_terms import input_terms, output_terms
+from labhil.physics.path_terms import input_terms, offset_term, output_terms
 from labhil.physics.terms import Enters, Parameter, Term, Yardstick
 from labhil.physics.values import Values, known_numbers, near
 from labhil.rig import RigFile
@@ -121,12 +121,14 @@ def catalogue(level: float, speed: float) -> dict[str, Term]:
             (Parameter("residual_magnetism.current", "A", 0.1, -1.0, 1.0),),
         ),
     )  # fmt: skip
-    offset = Term(
-        "sensor_offset", Enters.OUTPUT, "an offset of the position sensor", "y = x + x_0", "standard",
-        "rest at a stop whose place is known", (Parameter("sensor_offset.offset", "m", 1e-4),),
+    constant = Term(
+        "constant_force", Enters.FORCE, "a constant push (tilt, pressure)", "F = F_0", "standard",
+        "motion both ways; a spring's preload looks the same away from the stops",
+        (Parameter("constant_force.force", "N", level),),
     )  # fmt: skip
     terms = friction_terms("N", "m", level, speed) + loads + magnetic + input_terms("A")
-    terms += (*output_terms("plunger_position", "m", STROKE), offset)
+    terms += (constant, load_dependent_friction("the magnet's force (its side pull)"))
+    terms += (*output_terms("plunger_position", "m", STROKE), offset_term("plunger_position", "m", 1e-4))
     return {term.key: term for term in terms}
 
 
@@ -247,8 +249,9 @@ class SolenoidModel:
 
     def _part(self, theta: FloatArray) -> sliding.Part:
         mass = self._values.of(theta, "moving_mass")
+        preload = self._values.of(theta, "spring_preload.force")
         return sliding.Part(
-            force=-self._values.of(theta, "spring_preload.force") / mass,
+            force=(self._values.of(theta, "constant_force.force") - preload) / mass,
             spring=self._values.of(theta, "spring_stiffness") / mass,
             hardening=self._values.of(theta, "spring_hardening.coefficient") / mass,
             cogging_sine=0.0,
@@ -265,7 +268,7 @@ class SolenoidModel:
         if width := self._values.of(theta, "magnetic_hysteresis.width"):
             t, i = input_path.backlash(t, i, width)
         if time_constant := self._values.of(theta, "eddy_current.time_constant"):
-            i = input_path.first_order_lag(t, i, time_constant)
+            t, i = input_path.lag_in_lines(t, i, time_constant, 1)
         residual, knee = (self._values.of(theta, name) for name in MAGNETIC)
         i = i + residual if residual else i
         return t, i / (1.0 + knee * np.abs(i)) if knee else i

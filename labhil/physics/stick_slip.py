@@ -35,10 +35,10 @@ AT_ONCE = 1e6
 FINEST = 0.02
 """Shortest step that friction may ask for, as a share of the sampling period."""
 
-ITERATIONS = 80
-TINY = 1e-300
 NOT_ONE_END = 0.01
 """Share of a bracket that is cut off at least, or one of its ends would never move."""
+
+ITERATIONS, TINY = 80, 1e-300
 
 
 class Motion(NamedTuple):
@@ -86,8 +86,8 @@ class Laws(NamedTuple, Generic[Part, Course]):
     settled: Callable[[Motion, float, Part], float]
     """(state, u, part) to the value of a that an infinite rate leads to."""
 
-    grip: Callable[[Motion, float, Part], tuple[float, float, float]]
-    """(state, u, part) to pull and the largest ones withstood at rest, up and down."""
+    grip: Callable[[Motion, float, Part], tuple[float, float]]
+    """(state, u, part) to the pull on a resting part, and the largest one that it withstands."""
 
     pace: Callable[[Motion, float, float, float, float, Follows, float, Part], float]
     """(state, side, u, its rise per second, time since the input last bent, how a follows, finest, part) to
@@ -182,8 +182,8 @@ def leaver(laws: Laws[Part, Course], step: Step[Part]) -> Event[Part]:
 
     @specialised
     def excess(s: Motion, u: float, side: float, part: Part) -> float:
-        pull, up, down = grip(s, u, part)
-        return pull - up if side > 0.0 else -pull - down
+        pull, level = grip(s, u, part)
+        return side * pull - level
 
     @specialised
     def time_to_leave(
@@ -289,7 +289,7 @@ def mover(laws: Laws[Part, Course], step: Step[Part]) -> Stage[Part]:
         h = time_to_event(s, side, u, rise, h, how, edge, part)
         later = step(s, side, u, rise, h, how, part)
         back = -stops.restitution * later.v
-        pull, _, _ = grip(Motion(edge, 0.0, later.a), u + h * rise, part)
+        pull, _ = grip(Motion(edge, 0.0, later.a), u + h * rise, part)
         if back == 0.0 or 2.0 * abs(back) <= finest * pull * side:
             return Motion(edge, 0.0, later.a), 0.0, h
         return Motion(edge, back, later.a), -side, h
@@ -298,12 +298,12 @@ def mover(laws: Laws[Part, Course], step: Step[Part]) -> Stage[Part]:
 
 
 @compiled
-def torn(x: float, grip: tuple[float, float, float], stops: Stops) -> float:
+def torn(x: float, grip: tuple[float, float], stops: Stops) -> float:
     """The side towards which a resting part is torn away; 0 where it holds, or leans on a stop."""
-    pull, up, down = grip
-    if pull > up and x < stops.high:
+    pull, level = grip
+    if pull > level and x < stops.high:
         return 1.0
-    if -pull > down and x > stops.low:
+    if -pull > level and x > stops.low:
         return -1.0
     return 0.0
 
@@ -351,11 +351,9 @@ def stretch(node_t: FloatArray, values: FloatArray, node: int, now: float) -> tu
 
 
 Run = Callable[
-    [
-        FloatArray, FloatArray, FloatArray, IntArray, IntArray, FloatArray, Stops, Part, Course, FloatArray
-    ],
+    [FloatArray, FloatArray, FloatArray, IntArray, IntArray, FloatArray, Stops, Part, Course, FloatArray],
     None,
-]  # fmt: skip
+]
 """(t, node_t, values, first, last, states, stops, part, course, out) to nothing.
 
 ``t`` (n,) are the times of the samples; the input is straight between ``node_t`` (m,) and its ``values``

@@ -32,7 +32,8 @@ class Values:
         law = np.zeros(friction.SIZE)
         for place, name in friction.NAMES.items():
             law[place] = self.of(theta, name) / inertia
-        law[friction.STRIBECK_VELOCITY] = self.of(theta, "stribeck_friction.velocity")
+        for place, name in friction.PURE.items():
+            law[place] = self.of(theta, name)
         return law
 
     def sensed(self, theta: FloatArray, record: Record, windows: Windows, x: FloatArray) -> FloatArray:

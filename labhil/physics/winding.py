@@ -40,19 +40,16 @@ class Motor(NamedTuple):
 
 
 class Rotor(NamedTuple):
-    """A motor as it is between two samples: its voltage's gain, its warm resistance, its friction."""
+    """A motor as it is between two samples: its warm resistance, its friction."""
 
     motor: Motor
-    gain: float
     resistance: float
     law: Law
 
 
 class Course(NamedTuple):
-    """What changes along a recording, (n,) each: gain of the voltage, warm over cold resistance, the same of
-    viscous friction."""
+    """What changes along a recording, (n,) each: warm over cold resistance, the same of viscous friction."""
 
-    gain: FloatArray
     warm: FloatArray
     change: FloatArray
     cold: Rotor
@@ -62,7 +59,7 @@ class Course(NamedTuple):
 def at(r: Rotor, c: Course, k: int) -> Rotor:
     """The motor between samples k and k + 1."""
     cold = c.cold
-    return Rotor(cold.motor, c.gain[k], cold.resistance * c.warm[k], thinned(cold.law, c.change[k]))
+    return Rotor(cold.motor, cold.resistance * c.warm[k], thinned(cold.law, c.change[k]))
 
 
 @compiled
@@ -82,7 +79,7 @@ def follow(s: Motion, r: Rotor) -> Follows:
 def settled(s: Motion, u: float, r: Rotor) -> float:
     """Current (A) that flows when the inductance has no say."""
     m = r.motor
-    volts = r.gain * u - m.constant * s.v
+    volts = u - m.constant * s.v
     if m.brush_drop != 0.0:
         within = volts / (r.resistance + m.brush_drop / m.brush_width)
         if abs(within) < m.brush_width:
@@ -96,7 +93,7 @@ def target(s: Motion, u: float, how: Follows, r: Rotor) -> float:
     """The current towards which the present one moves, A."""
     if how.rate == np.inf:
         return settled(s, u, r)
-    return (r.gain * u - r.motor.constant * s.v - how.bias) / how.gauge
+    return (u - r.motor.constant * s.v - how.bias) / how.gauge
 
 
 @compiled
@@ -110,15 +107,21 @@ def pull_of(i: float, angle: float, m: Motor) -> float:
 
 
 @compiled
-def pull(s: Motion, side: float, u: float, r: Rotor) -> float:
-    """Angular acceleration of a turning rotor, rad/s²."""
-    return pull_of(s.a, s.x, r.motor) - friction(s.x, s.v, side, r.law)
+def load_of(i: float, m: Motor) -> float:
+    """Size of the drive, rad/s²."""
+    return abs(m.constant * i) / m.inertia
 
 
 @compiled
-def grip(s: Motion, u: float, r: Rotor) -> tuple[float, float, float]:
-    """Angular acceleration that a rotor at rest would have, and what it withstands either way."""
-    return pull_of(s.a, s.x, r.motor), hold(s.x, 1.0, r.law), hold(s.x, -1.0, r.law)
+def pull(s: Motion, side: float, u: float, r: Rotor) -> float:
+    """Angular acceleration of a turning rotor, rad/s²."""
+    return pull_of(s.a, s.x, r.motor) - friction(s.x, s.v, side, load_of(s.a, r.motor), r.law)
+
+
+@compiled
+def grip(s: Motion, u: float, r: Rotor) -> tuple[float, float]:
+    """Angular acceleration that a rotor at rest would have, and the largest that it withstands."""
+    return pull_of(s.a, s.x, r.motor), hold(s.x, load_of(s.a, r.motor), r.law)
 
 
 @compiled
@@ -144,7 +147,7 @@ def longest(
     size = min(size, max(pace(s.v, turning, r.law), finest), RESOLVED / (swift + TINY))
     if how.rate * min(size, finest / FINEST) <= FIRST_SHARE or how.rate == np.inf:
         return size
-    course = goal - (r.gain * rise - m.constant * turning) / (how.gauge * how.rate)
+    course = goal - (rise - m.constant * turning) / (how.gauge * how.rate)
     off = max(abs(s.a - course) / (abs(s.a) + abs(goal) + TINY), 1e-12)
     return min(size, FIRST_SHARE / how.rate * np.exp(min(since * how.rate / FADES, 50.0)) * off**-0.2)
 
@@ -159,7 +162,8 @@ def accelerations(i: FloatArray, angle: FloatArray, w: FloatArray, m: Motor, f: 
     law = law_of(f)
     for k in range(w.size):
         if w[k] != 0.0:
-            out[k] = pull_of(i[k], angle[k], m) - friction(angle[k], w[k], np.sign(w[k]), law)
+            drag = friction(angle[k], w[k], np.sign(w[k]), load_of(i[k], m), law)
+            out[k] = pull_of(i[k], angle[k], m) - drag
     return out
 
 
@@ -168,7 +172,6 @@ def simulate(
     t: FloatArray,
     node_t: FloatArray,
     voltage: FloatArray,
-    gain: FloatArray,
     first: IntArray,
     last: IntArray,
     states: FloatArray,
@@ -181,14 +184,13 @@ def simulate(
     """Simulate windows of a recording; ``out`` (rows of all windows after each other, 3) gets ω, i, angle.
 
     The voltage is straight between ``node_t`` (m,) and its values ``voltage`` (m,), and keeps its last one;
-    ``gain`` (n,) scales it at each sample (a sagging supply). ``warm`` (n,) is the resistance over its
-    value when cold, ``viscous_change`` (n,) the same of viscous friction. Window w covers the samples
-    first[w] … last[w] − 1 and begins with states[w] = (ω, i, angle).
+    ``warm`` (n,) is the resistance over its value when cold, ``viscous_change`` (n,) the same of viscous
+    friction. Window w covers the samples first[w] … last[w] − 1 and begins with states[w] = (ω, i, angle).
     """
     begun = np.empty_like(states)
     begun[:, 0], begun[:, 1], begun[:, 2] = states[:, 2], states[:, 0], states[:, 1]
-    cold = Rotor(m, 1.0, m.resistance, law_of(f))
-    course = Course(gain, warm, viscous_change, cold)
+    cold = Rotor(m, m.resistance, law_of(f))
+    course = Course(warm, viscous_change, cold)
     run(t, node_t, voltage, first, last, begun, NO_STOPS, cold, course, out)
     for row in range(out.shape[0]):
         out[row, 0], out[row, 1], out[row, 2] = out[row, 1], out[row, 2], out[row, 0]

@@ -1,0 +1,218 @@
+"""What a DC motor's recording says of its size, and the terms that its model may have."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from labhil.physics.friction_terms import friction_terms, load_dependent_friction
+from labhil.physics.model import Record
+from labhil.physics.path_terms import input_terms, offset_term, output_terms
+from labhil.physics.terms import Enters, Parameter, Term
+from labhil.signals import FloatArray
+
+COPPER = 0.0039
+"""Relative rise of copper's resistance per kelvin."""
+
+REFERENCE = 20.0
+"""Temperature (°C) at which resistance and viscous friction are what they are said to be."""
+
+TYPICAL_SPEED = 3.0
+TYPICAL_VOLTAGE = 5.0
+TYPICAL_TIME_CONSTANT = 1.0
+
+
+class Sizes:
+    """What a recording says of the motor's size before anything is fitted (SI).
+
+    A first-order regression ω̇ = (g·U − ω)/τ − d·sgn ω gives gain and time constant; back-EMF and
+    resistance follow with the current, or with a typical one.
+    """
+
+    def __init__(self, record: Record | None) -> None:
+        self.voltage, self.speed = TYPICAL_VOLTAGE, TYPICAL_SPEED
+        self.gain, self.time_constant, self.current = 1.0, TYPICAL_TIME_CONSTANT, 1.0
+        if record is None:
+            return
+        u = record.inputs[:, 0]
+        self.voltage = float(np.sqrt(np.mean(u**2))) or TYPICAL_VOLTAGE
+        if "current" in record.output_names:
+            i = record.outputs[:, record.output_names.index("current")]
+            self.current = float(np.sqrt(np.mean(i**2))) or 1.0
+        if "speed" in record.output_names:
+            w = record.outputs[:, record.output_names.index("speed")]
+            self.speed = float(np.sqrt(np.mean(w**2))) or TYPICAL_SPEED
+            self._first_order(record.t, u, w)
+
+    def _first_order(self, t: FloatArray, u: FloatArray, w: FloatArray) -> None:
+        """Changes of ω over short blocks in motion, regressed on the integrals of U, ω and sgn ω."""
+        edges = np.arange(0, len(t), max(4, len(t) // 600))
+        h = np.r_[0.0, np.diff(t)]
+        slow = 0.05 * float(np.abs(w).max())
+        moving = np.minimum.reduceat(np.abs(w), edges)[:-1] > slow
+        if np.count_nonzero(moving) < 12:
+            self.gain = self.speed / self.voltage
+            return
+        integrals = [np.add.reduceat(h * x, edges)[:-1][moving] for x in (u, w, np.sign(w))]
+        design = np.column_stack(integrals)
+        by_voltage, by_speed, _ = np.linalg.lstsq(design, np.diff(w[edges])[moving], rcond=None)[0]
+        if by_speed < 0.0 < by_voltage:
+            self.time_constant = float(np.clip(-1.0 / by_speed, 1e-3, 100.0))
+            self.gain = float(-by_voltage / by_speed)
+        else:
+            self.gain = self.speed / self.voltage
+
+    @property
+    def constant(self) -> float:
+        """Torque constant if half of the voltage went into back-EMF, N·m/A."""
+        return 0.5 / max(self.gain, 1e-9)
+
+    @property
+    def resistance(self) -> float:
+        """Resistance if the other half drove the current, Ω."""
+        return 0.5 * self.voltage / self.current
+
+    @property
+    def inertia(self) -> float:
+        """Inertia that has the time constant with half of the damping from the winding, kg·m²."""
+        return 2.0 * self.time_constant * self.constant**2 / self.resistance
+
+    @property
+    def torque(self) -> float:
+        """Torque at the typical current, N·m."""
+        return self.constant * self.current
+
+
+def own_parameters(s: Sizes) -> dict[str, Parameter]:
+    """The motor's own parameters with starts and scales of its size."""
+    typical = {
+        "inertia": ("kg·m²", s.inertia),
+        "torque_constant": ("N·m/A", s.constant),
+        "inductance": ("H", 0.05 * s.time_constant * s.resistance),
+        "resistance": ("Ω", s.resistance),
+    }
+    return {
+        name: Parameter(
+            name, unit, size, 1e-4 * size, (30.0 if name == "inductance" else 1e3) * size, (size,)
+        )
+        for name, (unit, size) in typical.items()
+    }
+
+
+def catalogue(s: Sizes, outputs: Sequence[str], inertia_known: bool) -> dict[str, Term]:
+    """All terms of a motor with these ``outputs``, their scales of the motor's size."""
+    level = 0.1 * s.torque
+    loads = (
+        Term(
+            "constant_force",
+            Enters.FORCE,
+            "a constant load torque",
+            "T = T_0",
+            "standard",
+            "motion both ways",
+            (Parameter("constant_force.force", "N·m", level),),
+        ),
+        Term(
+            "cogging_torque",
+            Enters.FORCE,
+            "a torque that repeats with the angle (cogging of the magnets)",
+            "T = a·sin kθ + b·cos kθ",
+            "slots per turn",
+            "slow turning",
+            (
+                Parameter("cogging_torque.sine", "N·m", level, starts=(0.05 * s.torque,)),
+                Parameter("cogging_torque.cosine", "N·m", level, starts=(0.05 * s.torque,)),
+                Parameter("cogging_torque.order", "1", 12.0, 1.0, 400.0, starts=(12.0,), shape=True),
+            ),
+            needs=("angle",),
+        ),
+        Term(
+            "spring_force",
+            Enters.FORCE,
+            "a torque back to the angle zero",
+            "T = k·θ",
+            "Hooke",
+            "motion over the whole range",
+            (Parameter("spring_force.stiffness", "N·m/rad", level),),
+            needs=("angle",),
+        ),
+        Term(
+            "temperature_dependent_friction",
+            Enters.FORCE,
+            "viscous friction that falls as the motor warms",
+            "c(T) = c·exp(−α·(T − 20 °C))",
+            "viscosity of grease",
+            "long runs that warm the motor",
+            (Parameter("temperature_dependent_friction.rate", "1/K", 0.02, -0.2, 0.2),),
+            needs=("winding_temperature",),
+        ),
+    )
+    electrical = (
+        Term(
+            "brush_drop",
+            Enters.ELECTRICAL,
+            "a voltage that the brushes take, whatever the current",
+            "U_b = V_b·sgn i",
+            "standard",
+            "small currents both ways; needs the current to be told from dry friction",
+            (Parameter("brush_drop.voltage", "V", 0.1 * s.voltage, 0.0, starts=(0.05 * s.voltage,)),),
+        ),
+        Term(
+            "supply_sag",
+            Enters.ELECTRICAL,
+            "a supply that gives way under load",
+            "U_eff = U·(1 − s·|U|)",
+            "inner resistance of the supply, to first order",
+            "large and small voltages",
+            (Parameter("supply_sag.coefficient", "1/V", 0.1 / s.voltage, 0.0, 0.5 / s.voltage),),
+        ),
+        Term(
+            "thermal_resistance",
+            Enters.ELECTRICAL,
+            "a winding whose resistance rises with its temperature",
+            "R(T) = R·(1 + α·(T − 20 °C)); copper: 0.0039/K",
+            "copper",
+            "long runs with large currents",
+            (Parameter("thermal_resistance.coefficient", "1/K", COPPER, 0.0, 0.05, starts=(COPPER,)),),
+            needs=("winding_temperature",),
+        ),
+    )
+    terms = friction_terms("N·m", "rad", level, s.speed) + loads + electrical + input_terms("V")
+    terms += (load_dependent_friction("the motor's torque (a gear)"), *sensor_terms(outputs, s))
+    if inertia_known:
+        terms += (added_inertia(s),)
+    # where along a turn a motor stands, only its angle tells
+    needing = {"position_dependent_friction": ("angle",)}
+    return {term.key: replace(term, needs=needing.get(term.name, term.needs)) for term in terms}
+
+
+def added_inertia(s: Sizes) -> Term:
+    """The term of a motor whose own inertia is known."""
+    return Term(
+        "added_inertia",
+        Enters.FORCE,
+        "more inertia than is known (a load on the shaft)",
+        "(J + J_a)·ω̇ = …",
+        "standard",
+        "acceleration",
+        (Parameter("added_inertia.mass", "kg·m²", 0.1 * s.inertia, -0.5 * s.inertia),),
+    )
+
+
+def sensor_terms(outputs: Sequence[str], s: Sizes) -> tuple[Term, ...]:
+    """Effects of the first output's sensor; where the current is the second, its offset and gain as well."""
+    units = {"speed": ("rad/s", s.speed), "current": ("A", s.current)}
+    first = outputs[0]
+    terms = (*output_terms(first, *units[first]), offset_term(first, units[first][0], 0.1 * units[first][1]))
+    if len(outputs) == 1:
+        return terms
+    beside = {
+        "sensor_offset": Parameter("sensor_offset.current_offset", "A", 0.1 * s.current),
+        "sensor_gain": Parameter("sensor_gain.current_gain", "1", 0.1, -0.9),
+    }
+    return tuple(
+        replace(term, parameters=(*term.parameters, beside[term.name])) if term.name in beside else term
+        for term in terms
+    )
