@@ -1,0 +1,1 @@
+"""Optimisation of designs: the geometry of the solenoid (Appendix A of the reference text)."""

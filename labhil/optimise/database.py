@@ -1,0 +1,111 @@
+"""The simulated runs as a database of force curves, interpolated between them.
+
+The interpolation goes through every simulated curve: cubic radial functions on top of a full quadratic in
+the five parameters, each scaled to its bounds, position by position. (The text interpolates "the median
+values corresponding to the bounds" in MATLAB and does not say how.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from labhil.optimise.geometry import LOWER, UPPER
+from labhil.optimise.objectives import largest_force, rms_slope
+from labhil.signals import FloatArray
+
+APART = 0.01
+"""Of the ranges: designs nearer than this would make the interpolation ill-conditioned."""
+
+if TYPE_CHECKING:
+    from scipy.interpolate import RBFInterpolator
+
+
+@dataclass(frozen=True)
+class Database:
+    """Force curves of simulated designs."""
+
+    designs: FloatArray
+    """(n, 5) in m and rad."""
+    curves: FloatArray
+    """(n, m) in N."""
+
+    @cached_property
+    def _interpolant(self) -> RBFInterpolator:
+        return _interpolant(self.designs, self.curves)
+
+    def interpolated(self, designs: FloatArray) -> FloatArray:
+        """Force curves (k, m) in N of designs (k, 5) in m and rad, by interpolation."""
+        return np.asarray(self._interpolant(scaled(designs)))
+
+    def extended(self, designs: FloatArray, curves: FloatArray) -> Database:
+        """A database with these designs (k, 5) and curves (k, m) as well."""
+        return Database(np.vstack([self.designs, designs]), np.vstack([self.curves, curves]))
+
+    def left_out(self) -> FloatArray:
+        """(n, m): each simulated curve as the others would have it."""
+        rows = np.arange(len(self.curves))
+        predicted = [
+            _interpolant(self.designs[rows != n], self.curves[rows != n])(scaled(self.designs[n : n + 1]))[0]
+            for n in rows
+        ]
+        return np.array(predicted)
+
+
+@dataclass(frozen=True, slots=True)
+class InterpolationError:
+    """How far interpolation is from the circuit at designs that it has not seen."""
+
+    designs: int
+    curve_rms: float
+    """N, over all curves and positions."""
+    curve_worst: float
+    """N."""
+    force_rms: float
+    """N, of the largest force."""
+    slope_rms: float
+    """N/m, of the root-mean-square slope."""
+    left_out_rms: float
+    """N, of the database's own curves, each left out in turn."""
+
+
+def apart(candidates: FloatArray, known: FloatArray, distance: float = APART) -> FloatArray:
+    """The candidates (k, 5) that are not within ``distance`` (of the ranges) of a known or earlier one."""
+    kept, new = list(scaled(known)), []
+    for candidate, place in zip(candidates, scaled(candidates), strict=True):
+        if not kept or np.min(np.linalg.norm(np.array(kept) - place, axis=1)) > distance:
+            kept.append(place)
+            new.append(candidate)
+    return np.array(new).reshape(-1, candidates.shape[1])
+
+
+def scaled(designs: FloatArray) -> FloatArray:
+    """Designs (n, 5) in m and rad as shares of Table A.2's ranges, 0 to 1."""
+    return np.asarray((designs - LOWER) / (UPPER - LOWER))
+
+
+def interpolation_error(database: Database, designs: FloatArray, curves: FloatArray) -> InterpolationError:
+    """Compare with the circuit's curves (n, m) at designs (n, 5)."""
+    predicted = database.interpolated(designs)
+    error = predicted - curves
+    return InterpolationError(
+        len(designs),
+        _rms(error),
+        float(np.abs(error).max()),
+        _rms(largest_force(predicted) - largest_force(curves)),
+        _rms(rms_slope(predicted) - rms_slope(curves)),
+        _rms(database.left_out() - database.curves),
+    )
+
+
+def _interpolant(designs: FloatArray, curves: FloatArray) -> RBFInterpolator:
+    from scipy.interpolate import RBFInterpolator
+
+    return RBFInterpolator(scaled(designs), curves, kernel="cubic", degree=2)
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -1,0 +1,71 @@
+"""The circuit's forces against the field solver's, and how far the field solver itself is from settled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from labhil.optimise.circuit import force_curves, positions
+from labhil.optimise.field import FINENESS, solve_solenoid
+from labhil.optimise.geometry import HOUSING
+from labhil.signals import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class FieldPoint:
+    """One force by both methods, N."""
+
+    candidate: str
+    current: float
+    """A."""
+    position: float
+    """m."""
+    field: float
+    circuit: float
+
+
+@dataclass(frozen=True, slots=True)
+class FieldCheck:
+    """Forces by the field solver."""
+
+    curves: Mapping[str, FloatArray]
+    """Per candidate (m,) N at the circuit's positions and full current."""
+    points: tuple[FieldPoint, ...]
+    """Those curves and points at half the current."""
+    refined: float
+    """Largest relative change of a force on grids twice as fine, at one position per candidate."""
+    unknowns: int
+    """Of the largest grid."""
+
+    def ratios(self) -> FloatArray:
+        """Circuit over field, per point."""
+        return np.array([point.circuit / point.field for point in self.points])
+
+
+def check_by_field(designs: Mapping[str, FloatArray], progress: Callable[[str], None]) -> FieldCheck:
+    """Solve the field of the named designs ((5,), m and rad) along the stroke.
+
+    Also once at half the current and once on a finer grid, in the middle of the stroke. MissingExtraError
+    without scikit-fem.
+    """
+    x, full = positions(), HOUSING.current
+    middle = len(x) // 2
+    curves, points, changes, unknowns = {}, [], [], 0
+    for name, design in designs.items():
+        progress(f"field solver: {name}")
+        found = [solve_solenoid(design, float(at), full) for at in x]
+        half = solve_solenoid(design, float(x[middle]), 0.5 * full)
+        finer = solve_solenoid(design, float(x[middle]), full, fineness=2.0 * FINENESS)
+        curves[name] = np.array([-solution.force for solution in found])
+        circuit = force_curves(design)[0]
+        weak = float(force_curves(design, current=0.5 * full)[0, middle])
+        points += [
+            FieldPoint(name, full, *row)
+            for row in zip(x.tolist(), curves[name].tolist(), circuit.tolist(), strict=True)
+        ]
+        points.append(FieldPoint(name, 0.5 * full, float(x[middle]), -half.force, weak))
+        changes.append(abs(finer.force / found[middle].force - 1.0))
+        unknowns = max(unknowns, int(finer.unknowns))
+    return FieldCheck(curves, tuple(points), max(changes), unknowns)

@@ -1,0 +1,93 @@
+"""What the parameters do to largest force and slope: here and there, and over all of Table A.2's ranges."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from labhil.optimise.circuit import force_curves
+from labhil.optimise.geometry import LOWER, UPPER
+from labhil.optimise.objectives import largest_force, rms_slope
+from labhil.signals import FloatArray
+
+STEP = 0.03
+"""Of a parameter's range, for differences."""
+CONFIDENCE = 0.95
+RESAMPLES = 200
+
+OUTPUTS = ("largest_force", "rms_slope")
+
+
+@dataclass(frozen=True, slots=True)
+class LocalSensitivity:
+    """At one design, rows as in ``OUTPUTS``, columns as the parameters."""
+
+    elasticity: FloatArray
+    """(2, 5): (p/y)·∂y/∂p; NaN where the parameter is zero."""
+    per_range: FloatArray
+    """(2, 5): (range/y)·∂y/∂p: relative change if the parameter moved over its whole range at this rate."""
+
+
+@dataclass(frozen=True, slots=True)
+class GlobalSensitivity:
+    """Sobol's indices over the box of Table A.2, rows as in ``OUTPUTS``, columns as the parameters."""
+
+    first_order: FloatArray
+    """(2, 5): share of the variance that the parameter explains alone."""
+    total: FloatArray
+    """(2, 5): share in which it takes part."""
+    total_low: FloatArray
+    total_high: FloatArray
+    """(2, 5): 95 % interval of ``total`` by bootstrap."""
+    evaluations: int
+
+
+def local_sensitivity(design: FloatArray) -> LocalSensitivity:
+    """By differences of the circuit around a design (5,); one-sided at a bound."""
+    step = STEP * (UPPER - LOWER)
+    above, below = np.minimum(design + step, UPPER), np.maximum(design - step, LOWER)
+    moved = np.vstack([_replaced(design, above), _replaced(design, below), design])
+    y = _outputs(force_curves(moved))
+    slope = (y[:, :5] - y[:, 5:10]) / (above - below)
+    relative = slope / y[:, 10:]
+    elasticity = np.where(np.abs(design) > 0.0, relative * design, np.nan)
+    return LocalSensitivity(elasticity, relative * (UPPER - LOWER))
+
+
+def global_sensitivity(
+    curves_of: Callable[[FloatArray], FloatArray], samples: int, rng: np.random.Generator
+) -> GlobalSensitivity:
+    """Sobol's indices of a function that gives curves (n, m) of designs (n, 5).
+
+    ``samples`` is a power of two; 7 times as many designs are evaluated.
+    """
+    from scipy.stats import qmc, sobol_indices
+
+    pairs = qmc.Sobol(10, seed=rng).random(samples)
+    A, B = LOWER + pairs[:, :5] * (UPPER - LOWER), LOWER + pairs[:, 5:] * (UPPER - LOWER)
+    mixed = np.repeat(A[None], 5, axis=0)
+    for j in range(5):
+        mixed[j, :, j] = B[:, j]
+    y = _outputs(curves_of(np.vstack([A, B, mixed.reshape(-1, 5)])))
+    f_AB = y[:, 2 * samples :].reshape(2, 5, samples).transpose(1, 0, 2)
+    known = {"f_A": y[:, :samples], "f_B": y[:, samples : 2 * samples], "f_AB": f_AB}
+    indices = sobol_indices(func=known, n=samples)
+    spread = indices.bootstrap(confidence_level=CONFIDENCE, n_resamples=RESAMPLES)
+    interval = spread.total_order.confidence_interval
+    return GlobalSensitivity(
+        indices.first_order, indices.total_order, interval.low, interval.high, 7 * samples
+    )
+
+
+def _outputs(curves: FloatArray) -> FloatArray:
+    """(2, n)."""
+    return np.stack([largest_force(curves), rms_slope(curves)])
+
+
+def _replaced(design: FloatArray, values: FloatArray) -> FloatArray:
+    """(5, 5): the design with one parameter after the other replaced."""
+    rows = np.tile(design, (5, 1))
+    np.fill_diagonal(rows, values)
+    return rows

@@ -1,0 +1,47 @@
+"""The reference text's particle swarm for a function that answers many designs at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from labhil.identify.estimators.search import Box, Budget, Ledger
+from labhil.identify.estimators.swarm import PER_DIMENSION, text_swarm
+from labhil.signals import FloatArray
+
+Function = Callable[[FloatArray], FloatArray]
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """Where a swarm ended."""
+
+    best: FloatArray
+    """(k,)."""
+    value: float
+
+
+class _Batches(Ledger):
+    """A ledger whose populations are evaluated in one call."""
+
+    def __init__(self, costs: Function, box: Box, budget: Budget) -> None:
+        super().__init__(lambda z: float(costs(z[None, :])[0]), box, budget)
+        self._costs = costs
+
+    def many(self, points: FloatArray) -> FloatArray:
+        """Costs (n,) of points (n, k)."""
+        inside = self.box.clip(points)
+        return np.array([self._note(z, float(c)) for z, c in zip(inside, self._costs(inside), strict=True)])
+
+
+def maximise(function: Function, lower: FloatArray, upper: FloatArray, seed: int, iterations: int) -> Flight:
+    """The largest value of ``function`` ((n, k) → (n,)) between the bounds (k,) that the swarm comes upon.
+
+    The swarm is that of equations 3.1 to 3.3, with ten particles per dimension and walls at the bounds.
+    """
+    budget = Budget(PER_DIMENSION * len(lower) * (iterations + 1), threshold=-np.inf)
+    ledger = _Batches(lambda X: -function(X), Box(lower, upper), budget)
+    found = text_swarm(ledger, seed, iterations=iterations)
+    return Flight(found.z, -found.cost)
