@@ -217,6 +217,8 @@ def _parameter_step(problem: Problem, point: Point, lin: Linearised, damping: fl
 
 def polish_states(problem: Problem, z: FloatArray, *candidates: FloatArray) -> FloatArray:
     """Begin each window at the best of these states, and improve it by itself."""
+    if not problem.model.state_names:
+        return candidates[0]
     choices = np.stack(candidates)
     costs = np.stack([_window_costs(problem, z, candidate) for candidate in choices])
     begin = choices[np.argmin(costs, axis=0), np.arange(choices.shape[1])]
@@ -229,9 +231,11 @@ def fit_states(problem: Problem, z: FloatArray, states: FloatArray, *, iteration
     Rest is one hypothesis: where a window is explained about as well by a body that is not moving,
     its velocity is zero.
     """
+    if not states.shape[1]:
+        return states
     every = np.ones(states.shape[1], dtype=bool)
     free = _damped_states(problem, z, states, iterations, every)
-    moving = np.array([name.endswith("_velocity") for name in problem.model.state_names])
+    moving = np.array([name.endswith("_velocity") for name in problem.model.state_names], dtype=bool)
     at_rest = _damped_states(problem, z, np.where(moving, 0.0, states), iterations, ~moving)
     counts = np.diff(np.r_[problem.edges, len(problem.owner)])
     allowance = np.sum(moving) * np.log(counts)

@@ -10,6 +10,7 @@ import pytest
 from scipy import optimize
 
 from labhil.errors import RecordingError, UnknownNameError
+from labhil.identify.fit import fit
 from labhil.physics.arm import ArmModel
 from labhil.physics.arm.motion import REST, PreparedRecord
 from labhil.physics.model import Record, Windows, index_of, start_values, terms_named
@@ -431,3 +432,19 @@ def test_too_little_motion_is_refused_in_words(model, bare):
     still = replace(bare, inputs=np.zeros_like(bare.inputs))
     with pytest.raises(RecordingError, match="too little motion"):
         model.prepare(still)
+
+
+def test_a_fit_finds_the_friction_of_every_joint_and_a_mass_that_nobody_told_of():
+    terms = [*BASELINE, "sensor_offset", "payload"]
+    record = acquired([*BASELINE, "payload"], {"payload.mass": 1.5, "payload.centre_z": 0.05}, seed=4)
+    model = ArmModel(rig(), record)
+    found = fit(model, model.prepare(record), terms)
+    rows = {(row.name, row.joint): row for row in found.estimates}
+    friction = [rows["coulomb_friction.level", joint] for joint in range(6)]
+    for row, truth in zip(friction, [0.91, 0.95, 0.59, 0.2, 0.17, 0.2], strict=True):
+        assert abs(row.value - truth) < 4.0 * row.std_error + 0.02 * truth
+    mass = rows["payload.mass", None]
+    assert mass.value == pytest.approx(1.5, abs=max(5.0 * mass.std_error, 0.02))
+    assert found.test is None
+    assert found.train.metric == "inverse_dynamics"
+    assert [channel.joint for channel in found.train.channels] == list(range(6))

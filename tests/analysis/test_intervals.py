@@ -17,7 +17,7 @@ from labhil.identify.intervals import (
 )
 from labhil.physics.terms import Parameter
 
-N, P = 600, 3
+N, P = 300, 3
 
 
 def linear(seed: int, share: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -35,7 +35,7 @@ def linear(seed: int, share: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.nd
 @pytest.mark.parametrize("share", [0.0, 0.6])
 def test_bootstrap_intervals_cover_white_and_coloured_noise_alike(share):
     covered = []
-    for seed in range(120):
+    for seed in range(40):
         J, residuals, beta = linear(seed, share)
         intervals = bootstrap_intervals(J, residuals, beta, N - P, quantile(0.9), seed=seed)
         covered += [low <= 1.0 <= high for low, high in intervals]
