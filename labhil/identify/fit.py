@@ -230,7 +230,7 @@ def _finish(
         fitted=fitted,
         intervals=how.intervals,
         simultaneous=how.simultaneous,
-        train=score(model, fitted.theta, record, sigma),
+        train=score(model, fitted.theta, record, noise_of(record)),
         test=score(model, fitted.theta, test, noise_of(test)) if test is not None else None,
         ljung_box_p=statistics.whiteness(residuals),
         input_crosscorrelation_p=statistics.input_crosscorrelation(residuals, inputs),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -11,7 +11,7 @@ import numpy as np
 from labhil.identify.fitted import Fitted, covariances
 from labhil.identify.identifiability import Identifiability, identifiability, what_would_help
 from labhil.identify.problem import Point, Problem
-from labhil.physics.model import Record, index_of
+from labhil.physics.model import Record, index_of, start_values
 from labhil.physics.rigs import model_for
 from labhil.physics.terms import Parameter
 from labhil.rig import RigFile
@@ -78,8 +78,10 @@ def _with_column(record: Record, signal: Signal) -> Record:
 
 
 def _carried(fitted: Fitted, parameters: Sequence[Parameter]) -> FloatArray:
-    """The fitted vector in another model of the same rig, by key."""
-    values: Mapping[str, float] = {
-        p.key: float(v) for p, v in zip(fitted.problem.model.parameters, fitted.theta, strict=True)
-    }
-    return np.array([values[p.key] for p in parameters])
+    """The fitted vector in another model of the same rig, by key; what only that one has is neutral."""
+    theta = start_values(parameters)
+    places = index_of(parameters)
+    for parameter, value in zip(fitted.problem.model.parameters, fitted.theta, strict=True):
+        if parameter.key in places:
+            theta[places[parameter.key]] = value
+    return theta
