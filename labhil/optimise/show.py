@@ -37,7 +37,8 @@ def show(study: Optimisation, console: Console) -> None:
     console.print(_sensitivity_table(study))
     if study.field is not None:
         console.print(_field_table(study.field))
-        console.print(Text("· " + _field_finding(study.field)))
+        for line in _field_findings(study.field):
+            console.print(Text("· " + line))
     console.print(
         f"Model: equivalent circuit with our own housing and steel; {len(study.evaluated)} force curves in "
         f"{study.seconds:.0f} s. CF1, CF2: eq. A.2 and A.3 over the 55 runs, with the root-mean-square slope."
@@ -145,11 +146,19 @@ def circuit_curve(field: FieldCheck, name: str) -> FloatArray:
     return np.array([p.circuit for p in field.points if p.candidate == name][:-1])
 
 
-def _field_finding(field: FieldCheck) -> str:
+def _field_findings(field: FieldCheck) -> Iterator[str]:
     ratios = field.ratios()
     weak = [point.circuit / point.field for point in field.points if point.current < field.points[0].current]
-    return (
+    yield (
         f"Circuit over field: median {np.median(ratios):.2f}, from {ratios.min():.2f} to {ratios.max():.2f}; "
         f"at half the current {min(weak):.2f} to {max(weak):.2f}. Grids twice as fine change the field's "
         f"forces by up to {100.0 * field.refined:.1f} % ({field.unknowns} unknowns)."
     )
+    original = field.curves[ORIGINAL_NAME]
+    for what, name in (("the text's optimum", TEXT_NAME), ("ours", REFINED_NAME)):
+        force = 100.0 * (field.curves[name].max() / original.max() - 1.0)
+        slopes = rms_slope(np.stack([field.curves[name], original]))
+        yield (
+            f"By the field solver, {what} against the original: largest force {force:+.0f} %, "
+            f"rms slope {100.0 * (slopes[0] / slopes[1] - 1.0):+.0f} %."
+        )
