@@ -13,8 +13,8 @@ from typing import ClassVar, Self
 
 from labhil.driver import Counters, DeviceInfo, DriverSpec
 from labhil.errors import CommandRefusedError, ConnectError, DeviceError, DeviceResetError, ProtocolError
-from labhil.link import Decoder, Frame, Hello, MessageType, SetCommand, State, StateFlag, Unwrapper
 from labhil.kinds import BALL_BEAM
+from labhil.link import Decoder, Frame, Hello, MessageType, SetCommand, State, StateFlag, Unwrapper
 from labhil.signals import Batch, Stream
 from labhil_ball_beam.handshake import Sender, ask_hello, configure
 from labhil_ball_beam.port import Port
