@@ -63,7 +63,7 @@ def global_sensitivity(
 
     ``samples`` is a power of two; 7 times as many designs are evaluated.
     """
-    from scipy.stats import qmc, sobol_indices
+    from scipy.stats import qmc
 
     pairs = qmc.Sobol(10, seed=rng).random(samples)
     A, B = LOWER + pairs[:, :5] * (UPPER - LOWER), LOWER + pairs[:, 5:] * (UPPER - LOWER)
@@ -72,13 +72,19 @@ def global_sensitivity(
         mixed[j, :, j] = B[:, j]
     y = _outputs(curves_of(np.vstack([A, B, mixed.reshape(-1, 5)])))
     f_AB = y[:, 2 * samples :].reshape(2, 5, samples).transpose(1, 0, 2)
-    known = {"f_A": y[:, :samples], "f_B": y[:, samples : 2 * samples], "f_AB": f_AB}
-    indices = sobol_indices(func=known, n=samples)
-    spread = indices.bootstrap(confidence_level=CONFIDENCE, n_resamples=RESAMPLES)
-    interval = spread.total_order.confidence_interval
-    return GlobalSensitivity(
-        indices.first_order, indices.total_order, interval.low, interval.high, 7 * samples
-    )
+    table = np.concatenate([y[:, :samples][None], y[:, samples : 2 * samples][None], f_AB])
+    found = _indices(table)
+    again = [_indices(table[:, :, rng.integers(samples, size=samples)])[1] for _ in range(RESAMPLES)]
+    low, high = np.quantile(again, [0.5 - CONFIDENCE / 2.0, 0.5 + CONFIDENCE / 2.0], axis=0)
+    return GlobalSensitivity(*found, low, high, 7 * samples)
+
+
+def _indices(table: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """First-order and total indices (2, 5) from outputs (7, 2, n): of A, of B, and of A with columns of B."""
+    from scipy.stats import sobol_indices
+
+    found = sobol_indices(func={"f_A": table[0], "f_B": table[1], "f_AB": table[2:]}, n=table.shape[2])
+    return np.asarray(found.first_order), np.asarray(found.total_order)
 
 
 def _outputs(curves: FloatArray) -> FloatArray:
