@@ -87,7 +87,7 @@ class Housing(NamedTuple):
     """Of the nose."""
     residual_gap: float = 1.0e-3
     """Between plunger and recess floor at full travel: the anti-stick disc. Of 0.8 and 1.0 mm the latter
-    was taken because the original's largest force (76.5 N by the field solver) is nearer the text's 78.9 N."""
+    was taken: the original's largest force (76.5 N by the field solver) is then nearer the text's 78.9 N."""
     travel: float = 5.0e-3
     ahead: float = 12.0e-3
     """From the front flange to the recess floor."""
