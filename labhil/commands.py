@@ -14,6 +14,7 @@ def add_studies(app: typer.Typer) -> None:
     """Register these commands."""
     app.command(epilog="Example: labhil linear run.mcap --test test.mcap --models arx,oe")(linear)
     app.command(epilog="Example: labhil optimise solenoid --plot design.png")(optimise)
+    app.command(epilog="Example: labhil reference 5.3 5.5 --quick")(reference)
     app.command(epilog="Example: labhil benchmark dc_motor --recordings 20 -o bench")(benchmark)
 
 
@@ -91,3 +92,32 @@ def benchmark(
     console = results_console()
     for summary in summaries:
         console.print(show(summary))
+
+
+def reference(
+    tables: Annotated[list[str] | None, typer.Argument(help="Numbers like 5.3 (default: all).")] = None,
+    *,
+    quick: Annotated[bool, typer.Option("--quick", help="A twentieth of the swarms' iterations.")] = False,
+    seed: Annotated[int, typer.Option(help="Seed of everything that is drawn.")] = 0,
+    cache: Annotated[Path, typer.Option(help="Where finished parts are kept.")] = Path("labhil-reference"),
+    markdown: Annotated[Path | None, typer.Option(help="Write a page here.")] = None,
+    json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
+) -> None:
+    """Set the tables of the reference text's chapter 5 beside ours, beside the truth and what data can know.
+
+    At full length it takes a while; finished parts are kept, and the same command goes on from there.
+    """
+    from labhil.campaign.reference import reference_command
+    from labhil.campaign.reference.published import NUMBERS
+
+    refuse_unwritable(json_path, markdown)
+    with status() as say:
+        reference_command(
+            tables or NUMBERS,
+            quick=quick,
+            seed=seed,
+            cache=cache,
+            markdown=markdown,
+            json_path=json_path,
+            progress=say,
+        )
