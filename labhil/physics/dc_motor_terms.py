@@ -23,61 +23,57 @@ TYPICAL_SPEED = 3.0
 TYPICAL_VOLTAGE = 5.0
 TYPICAL_TIME_CONSTANT = 1.0
 
+FEWEST_BLOCKS = 12
+"""In motion, for a regression to mean anything."""
+
 
 class Sizes:
     """What a recording says of the motor's size before anything is fitted (SI).
 
-    A first-order regression ω̇ = (g·U − ω)/τ − d·sgn ω gives gain and time constant; back-EMF and
-    resistance follow with the current, or with a typical one.
+    Short blocks in motion are integrated, so that no derivative of a noisy signal is needed. With speed and
+    current both balances, of voltages and of torques, are solved by linear least squares; with one of them
+    a first order, ω̇ = (g·U − ω)/τ − d·sgn ω, gives back-EMF and inertia for a typical current.
     """
 
     def __init__(self, record: Record | None) -> None:
-        self.voltage, self.speed = TYPICAL_VOLTAGE, TYPICAL_SPEED
-        self.gain, self.time_constant, self.current = 1.0, TYPICAL_TIME_CONSTANT, 1.0
-        if record is None:
+        self.voltage, self.speed, self.current = TYPICAL_VOLTAGE, TYPICAL_SPEED, 1.0
+        self.constant, self.time_constant = TYPICAL_VOLTAGE / TYPICAL_SPEED, TYPICAL_TIME_CONSTANT
+        if record is not None:
+            self.voltage = _rms(record.inputs[:, 0]) or TYPICAL_VOLTAGE
+        seen = {} if record is None else dict(zip(record.output_names, record.outputs.T, strict=True))
+        if "current" in seen:
+            self.current = _rms(seen["current"]) or 1.0
+        self.resistance = 0.5 * self.voltage / self.current
+        if "speed" in seen:
+            self.speed = _rms(seen["speed"]) or TYPICAL_SPEED
+            self.constant = self.voltage / self.speed
+        self.inductance = self.inertia = 0.0
+        if record is not None and "speed" in seen:
+            blocks = Blocks(record.t, record.inputs[:, 0], seen["speed"])
+            self._first_order(blocks)
+            if "current" in seen:
+                self._both_balances(blocks, seen["current"])
+        self.inductance = self.inductance or 0.05 * self.time_constant * self.resistance
+        self.inertia = self.inertia or self.time_constant * self.constant**2 / self.resistance
+
+    def _first_order(self, blocks: Blocks) -> None:
+        found = blocks.solve(blocks.rise(blocks.w), blocks.volts, blocks.turned, blocks.rubbed)
+        if found is not None and found[1] < 0.0 < found[0]:
+            self.time_constant = float(np.clip(-1.0 / found[1], 1e-3, 100.0))
+            self.constant = float(max(-found[1] / found[0], 1e-9))
+
+    def _both_balances(self, blocks: Blocks, i: FloatArray) -> None:
+        """∫U = R·∫i + L·Δi + K·∫ω, then K·∫i = J·Δω + c·∫ω + T·∫sgn ω."""
+        charge = blocks.integral(i)
+        electrical = blocks.solve(blocks.volts, charge, blocks.rise(i), blocks.turned)
+        if electrical is None or min(electrical) <= 0.0:
             return
-        u = record.inputs[:, 0]
-        self.voltage = float(np.sqrt(np.mean(u**2))) or TYPICAL_VOLTAGE
-        if "current" in record.output_names:
-            i = record.outputs[:, record.output_names.index("current")]
-            self.current = float(np.sqrt(np.mean(i**2))) or 1.0
-        if "speed" in record.output_names:
-            w = record.outputs[:, record.output_names.index("speed")]
-            self.speed = float(np.sqrt(np.mean(w**2))) or TYPICAL_SPEED
-            self._first_order(record.t, u, w)
-
-    def _first_order(self, t: FloatArray, u: FloatArray, w: FloatArray) -> None:
-        """Changes of ω over short blocks in motion, regressed on the integrals of U, ω and sgn ω."""
-        edges = np.arange(0, len(t), max(4, len(t) // 600))
-        h = np.r_[0.0, np.diff(t)]
-        slow = 0.05 * float(np.abs(w).max())
-        moving = np.minimum.reduceat(np.abs(w), edges)[:-1] > slow
-        if np.count_nonzero(moving) < 12:
-            self.gain = self.speed / self.voltage
-            return
-        integrals = [np.add.reduceat(h * x, edges)[:-1][moving] for x in (u, w, np.sign(w))]
-        design = np.column_stack(integrals)
-        by_voltage, by_speed, _ = np.linalg.lstsq(design, np.diff(w[edges])[moving], rcond=None)[0]
-        if by_speed < 0.0 < by_voltage:
-            self.time_constant = float(np.clip(-1.0 / by_speed, 1e-3, 100.0))
-            self.gain = float(-by_voltage / by_speed)
-        else:
-            self.gain = self.speed / self.voltage
-
-    @property
-    def constant(self) -> float:
-        """Torque constant if half of the voltage went into back-EMF, N·m/A."""
-        return 0.5 / max(self.gain, 1e-9)
-
-    @property
-    def resistance(self) -> float:
-        """Resistance if the other half drove the current, Ω."""
-        return 0.5 * self.voltage / self.current
-
-    @property
-    def inertia(self) -> float:
-        """Inertia that has the time constant with half of the damping from the winding, kg·m²."""
-        return 2.0 * self.time_constant * self.constant**2 / self.resistance
+        self.resistance, self.inductance, self.constant = (float(x) for x in electrical)
+        torque = blocks.solve(self.constant * charge, blocks.rise(blocks.w), blocks.turned, blocks.rubbed)
+        if torque is not None and torque[0] > 0.0:
+            self.inertia = float(torque[0])
+            damping = max(float(torque[1]), 0.0) + self.constant**2 / self.resistance
+            self.time_constant = float(np.clip(self.inertia / damping, 1e-3, 100.0))
 
     @property
     def torque(self) -> float:
@@ -85,12 +81,46 @@ class Sizes:
         return self.constant * self.current
 
 
+class Blocks:
+    """Integrals of held voltage, speed and its sign over short blocks in which the shaft turns."""
+
+    def __init__(self, t: FloatArray, u: FloatArray, w: FloatArray) -> None:
+        self.w = w
+        self._edges = np.arange(0, len(t), max(4, len(t) // 600))
+        self._h = np.diff(t)
+        slow = 0.05 * float(np.abs(w).max())
+        self._moving = np.minimum.reduceat(np.abs(w), self._edges)[:-1] > slow
+        self.volts = self._over(self._h * u[:-1])
+        self.turned, self.rubbed = self.integral(w), self.integral(np.sign(w))
+
+    def integral(self, x: FloatArray) -> FloatArray:
+        """Over each block."""
+        return self._over(0.5 * self._h * (x[1:] + x[:-1]))
+
+    def rise(self, x: FloatArray) -> FloatArray:
+        """From each block's begin to its end."""
+        return np.diff(x[self._edges])[self._moving]
+
+    def _over(self, pieces: FloatArray) -> FloatArray:
+        return np.diff(np.r_[0.0, np.cumsum(pieces)][self._edges])[self._moving]
+
+    def solve(self, y: FloatArray, *columns: FloatArray) -> FloatArray | None:
+        """Least-squares factors of ``columns`` in ``y``; None where too little moves."""
+        if np.count_nonzero(self._moving) < FEWEST_BLOCKS:
+            return None
+        return np.asarray(np.linalg.lstsq(np.column_stack(columns), y, rcond=None)[0])
+
+
+def _rms(x: FloatArray) -> float:
+    return float(np.sqrt(np.mean(x**2)))
+
+
 def own_parameters(s: Sizes) -> dict[str, Parameter]:
     """The motor's own parameters with starts and scales of its size."""
     typical = {
         "inertia": ("kg·m²", s.inertia),
         "torque_constant": ("N·m/A", s.constant),
-        "inductance": ("H", 0.05 * s.time_constant * s.resistance),
+        "inductance": ("H", s.inductance),
         "resistance": ("Ω", s.resistance),
     }
     return {

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from labhil.identify.least_squares import least_squares
+from labhil.identify.problem import Point, Problem
 from labhil.physics.model import Model, Record, Windows, index_of, start_values
 from labhil.physics.rigs import model_for
 from labhil.plants.rigs import WORLDS, plant_of
@@ -96,3 +98,41 @@ def staircase(seconds: float, period: float, hold: float, largest: float, seed: 
     n, each = round(seconds / period), round(hold / period)
     levels = np.random.default_rng(seed).uniform(-largest, largest, n // each + 1)
     return np.repeat(levels, each)[:n]
+
+
+def two_tones(seconds: float, period: float = 1e-3) -> np.ndarray:
+    """A solenoid's current (A) that sweeps the plunger from stop to stop."""
+    t = period * np.arange(round(seconds / period))
+    return 1.35 + 0.9 * np.sin(2 * np.pi * t) + 0.45 * np.sin(8 * np.pi * t)
+
+
+def without(found: Replay, terms: Sequence[str]) -> Replay:
+    """The same with the model's ``terms`` neutral."""
+    theta = found.theta.copy()
+    for i, parameter in enumerate(found.model.parameters):
+        if parameter.term in terms:
+            theta[i] = parameter.neutral
+    return replace(found, theta=theta)
+
+
+def places_of(model: Model, terms: Sequence[str]) -> np.ndarray:
+    """Places of the rig's own parameters and those of ``terms`` in the model's vector."""
+    chosen = [i for i, p in enumerate(model.parameters) if p.term is None or p.term in terms]
+    return np.array(chosen, dtype=np.int64)
+
+
+def distance(found: Replay, terms: Sequence[str], sigma: Sequence[float], first: int) -> tuple[float, int]:
+    """How far the least squares lie from the truth, and how many parameters have moved.
+
+    The squared distance is in the metric of the Cramér-Rao bound under the noise ``sigma`` of each channel:
+    χ² of as many degrees of freedom as there are parameters, if the model is the plant. Fitted is one window
+    from sample ``first`` on, its initial state with it.
+    """
+    free = places_of(found.model, terms)
+    windows = Windows.of([(first, len(found.record))])
+    problem = Problem(found.model, found.record, windows, free, found.theta, np.array(sigma))
+    truth = Point(found.theta[free] / problem.scale, found.states[windows.first].copy())
+    solution = least_squares(problem, truth, iterations=40)
+    slopes = problem.linearise(solution.point, solution.residuals, central=True)
+    moved = problem.project(slopes, slopes.by_parameters) @ (solution.point.z - truth.z)
+    return float(np.sum(moved**2)), len(free)
