@@ -14,7 +14,7 @@ from labhil.plants.effects import Effect
 from labhil.plants.friction import Friction
 from labhil.plants.input_path import HISTORY, InputPath
 from labhil.plants.mover import STATE_SIZE, Body, V, X
-from labhil.plants.trajectory import Channel, Trajectory, sensed
+from labhil.plants.trajectory import Channel, Sensor, Trajectory
 from labhil.plants.world import FRICTION, WAY_IN, WAY_OUT, World, sized
 from labhil.signals import FloatArray
 
@@ -75,6 +75,7 @@ AXIS = World(
         {
             "moving_mass", "drive_gain", "stribeck_friction.velocity", "presliding_friction.stiffness",
             "saturation.limit", "rate_limit.rate", "actuator_lag.time_constant", "sensor_lag.time_constant",
+            "hidden_magnet.width",
         }
     ),
     hidden={
@@ -162,6 +163,8 @@ class AxisPlant:
         start = self.parameters["temperature_start"]
         self._heat = np.array([start, start])
         self._friction = Friction.of(self.parameters)
+        self._sensor = Sensor(self.parameters, period, 0.0)
+        self._channels = {name: Channel(self.parameters, name) for name in ("position", "velocity")}
         mass = self.parameters["moving_mass"] + self.parameters.get("added_inertia.mass", 0.0)
         self._body = Body(mass, -np.inf, np.inf, 0.0, 1e-3)
         self._carriage = self._numbers(mass)
@@ -185,17 +188,20 @@ class AxisPlant:
     def step(self, force: float) -> Mapping[str, float]:
         """Hold ``force`` (N) for one sample period; return the signals at its end, measured."""
         truth = self._walk(np.array([force]))
-        return {name: float(values[0]) for name, values in self._measure(truth, np.array([force])).items()}
+        seen = self._measure(truth, self._sensor.follow(truth[:, 0]), np.array([force]))
+        return {name: float(values[0]) for name, values in seen.items()}
 
     def simulate(self, force: FloatArray) -> Trajectory:
         """Go on through the forces (n,) that are held from each sample to the next; begins with now."""
         u = np.asarray(force, dtype=np.float64)
         first = np.array([[self._state[X], self._state[V], self._heat[0]]])
-        truth = np.concatenate([first, self._walk(u[:-1])])
+        shown = self._sensor.now
+        moved = self._walk(u[:-1])
+        truth, position = np.concatenate([first, moved]), np.r_[shown, self._sensor.follow(moved[:, 0])]
         t = self.period * np.arange(len(u))
         jitter = self.parameters["stamp_jitter"] * self._random.standard_normal(len(u))
         states = dict(zip(("position", "velocity", "temperature"), truth.T, strict=True))
-        return Trajectory(t + jitter, u, self._measure(truth, u), states)
+        return Trajectory(t + jitter, u, self._measure(truth, position, u), states)
 
     def _walk(self, inputs: FloatArray) -> FloatArray:
         """Let one sample period pass per force that is held in it; x, v, temperature (n, 3)."""
@@ -211,12 +217,10 @@ class AxisPlant:
         drive.newest += len(inputs)
         return out
 
-    def _measure(self, truth: FloatArray, force: FloatArray) -> dict[str, FloatArray]:
-        p = self.parameters
-        position = sensed(truth[:, 0], p, self.period)
+    def _measure(self, truth: FloatArray, position: FloatArray, force: FloatArray) -> dict[str, FloatArray]:
         return {
-            "position": Channel.of(p, "position").sample(position, self._random),
-            "velocity": Channel.of(p, "velocity").sample(truth[:, 1], self._random),
+            "position": self._channels["position"].sample(position, self._random),
+            "velocity": self._channels["velocity"].sample(truth[:, 1], self._random),
             "temperature": truth[:, 2],
-            "drive_voltage": force / p["drive_gain"],
+            "drive_voltage": force / self.parameters["drive_gain"],
         }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,10 +14,11 @@ from labhil.plants.effects import Effect
 from labhil.plants.friction import Friction
 from labhil.plants.input_path import HISTORY, InputPath
 from labhil.plants.mover import INNER, STATE_SIZE, Body, V, X
-from labhil.plants.trajectory import Channel, Trajectory, sensed
+from labhil.plants.trajectory import Channel, Sensor, Trajectory
 from labhil.plants.world import FRICTION, WAY_IN, WAY_OUT, World, sized
 from labhil.signals import FloatArray
 
+SIGNALS = ("speed", "current", "angle", "winding_temperature")
 COPPER = 0.0039
 BRUSH_CURRENT = 0.01
 """Current (A) over which the brushes' drop changes its sign."""
@@ -83,6 +84,7 @@ MOTOR = World(
             "inertia", "torque_constant", "resistance", "inductance", "heat_capacity", "heat_resistance",
             "stribeck_friction.velocity", "presliding_friction.stiffness", "saturation.limit",
             "rate_limit.rate", "actuator_lag.time_constant", "sensor_lag.time_constant",
+            "hidden_magnet.width", "hidden_drag.speed",
         }
     ),
     hidden={
@@ -183,8 +185,9 @@ class DcMotorPlant:
         self._heat = np.array([self.parameters["ambient"]])
         self._friction = Friction.of(self.parameters)
         self._motor = self._numbers()
-        electrical = self._motor.inductance / self._motor.resistance
-        self._body = Body(self._motor.inertia, -np.inf, np.inf, 0.0, min(2e-3, 0.1 * electrical))
+        self._sensor = Sensor(self.parameters, period, 0.0)
+        self._channels = {name: Channel(self.parameters, name) for name in SIGNALS}
+        self._body = Body(self._motor.inertia, -np.inf, np.inf, 0.0, self._longest())
 
     def _numbers(self) -> Motor:
         p = self.parameters
@@ -206,20 +209,29 @@ class DcMotorPlant:
             drag_speed=p.get("hidden_drag.speed", 1.0),
         )
 
+    def _longest(self) -> float:
+        """Longest step, s: short against the winding's time constant, also where the brushes shorten it."""
+        m = self._motor
+        with_brushes = m.inductance / (m.resistance + abs(m.brush) / BRUSH_CURRENT)
+        return min(2e-3, 0.1 * m.inductance / m.resistance, with_brushes)
+
     def step(self, voltage: float) -> Mapping[str, float]:
         """Hold ``voltage`` (V) for one sample period; return the signals at its end, measured."""
         truth = self._walk(np.array([voltage]))
-        return {name: float(values[0]) for name, values in self._measure(truth).items()}
+        seen = self._measure(truth, self._sensor.follow(truth[:, 0]))
+        return {name: float(values[0]) for name, values in seen.items()}
 
     def simulate(self, voltage: FloatArray) -> Trajectory:
         """Go on through the voltages (n,) that are held from each sample to the next; begins with now."""
         u = np.asarray(voltage, dtype=np.float64)
         first = np.array([[self._state[V], self._state[INNER], self._state[X], self._heat[0]]])
-        truth = np.concatenate([first, self._walk(u[:-1])])
+        shown = self._sensor.now
+        moved = self._walk(u[:-1])
+        truth, speed = np.concatenate([first, moved]), np.r_[shown, self._sensor.follow(moved[:, 0])]
         t = self.period * np.arange(len(u))
         jitter = self.parameters["stamp_jitter"] * self._random.standard_normal(len(u))
-        names = ("speed", "current", "angle", "winding_temperature")
-        return Trajectory(t + jitter, u, self._measure(truth), dict(zip(names, truth.T, strict=True)))
+        states = dict(zip(SIGNALS, truth.T, strict=True))
+        return Trajectory(t + jitter, u, self._measure(truth, speed), states)
 
     def _walk(self, inputs: FloatArray) -> FloatArray:
         """Let one sample period pass per voltage that is held in it; ω, i, angle, temperature (n, 4)."""
@@ -244,13 +256,9 @@ class DcMotorPlant:
         drive.newest += len(inputs)
         return out
 
-    def _measure(self, truth: FloatArray) -> dict[str, FloatArray]:
-        p: Any = self.parameters
-        speed = sensed(truth[:, 0], p, self.period)
-        columns = {
-            "speed": speed,
-            "current": truth[:, 1],
-            "angle": truth[:, 2],
-            "winding_temperature": truth[:, 3],
+    def _measure(self, truth: FloatArray, speed: FloatArray) -> dict[str, FloatArray]:
+        columns = (speed, *truth.T[1:])
+        return {
+            name: self._channels[name].sample(x, self._random)
+            for name, x in zip(SIGNALS, columns, strict=True)
         }
-        return {name: Channel.of(p, name).sample(x, self._random) for name, x in columns.items()}

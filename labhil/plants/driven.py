@@ -25,6 +25,8 @@ class Drive:
     """The way of a command into a plant: what it remembers, and the moments into which a period is cut."""
 
     def __init__(self, values: Mapping[str, float], period: float, held: bool) -> None:
+        if not 0.0 < period < float("inf"):
+            raise UsageError(f"the period must be a positive number of seconds, found {period:g}")
         self.path = InputPath.of(values)
         self.held = held
         if self.path.delay > (HISTORY - 2) * period:

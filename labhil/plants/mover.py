@@ -177,7 +177,11 @@ def to_event(state: FloatArray, u: float, rise: float, h: float, b: Body, m: Any
 
 def on_bristles(state: FloatArray, u: float, rise: float, h: float, b: Body, m: Any, f: Friction) -> None:
     """Move a part whose dry friction is carried by bristles (LuGre) over h (s)."""
-    steps = math.ceil(h / BRISTLE_STEP)
+    # short against the bristles' own oscillation and damping, which a light part makes fast
+    longest = min(BRISTLE_STEP, 0.2 * math.sqrt(b.inertia / f.stiffness), b.longest)
+    if f.damping > 0.0:
+        longest = min(longest, 0.2 * b.inertia / f.damping)
+    steps = math.ceil(h / longest)
     d = h / steps
     x, v, i, z = state[X], state[V], state[INNER], state[BRISTLE]
     for k in range(steps):

@@ -14,10 +14,11 @@ from labhil.plants.effects import Effect
 from labhil.plants.friction import Friction
 from labhil.plants.input_path import HISTORY, InputPath
 from labhil.plants.mover import STATE_SIZE, Body, V, X
-from labhil.plants.trajectory import Channel, Trajectory, sensed
+from labhil.plants.trajectory import Channel, Sensor, Trajectory
 from labhil.plants.world import FRICTION, WAY_IN, WAY_OUT, World, sized
 from labhil.signals import FloatArray
 
+SIGNALS = ("plunger_position", "coil_current", "magnetic_force")
 STROKE = 0.005
 FIELD_PARTS = 8
 """Into how many parts a sample period is cut while the field follows the current."""
@@ -86,6 +87,7 @@ SOLENOID = World(
             "moving_mass", "spring_stiffness", "coil_resistance", "coil_inductance",
             "stribeck_friction.velocity", "presliding_friction.stiffness", "saturation.limit",
             "rate_limit.rate", "actuator_lag.time_constant", "sensor_lag.time_constant",
+            "hidden_latch.width",
         }
     ),
     hidden={
@@ -137,12 +139,12 @@ def walk(
     inputs: FloatArray, state: FloatArray, history: FloatArray, newest: int, memory: FloatArray,
     moments: FloatArray, period: float, b: Body, m: Plunger, f: Friction, p: InputPath, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Advance the plant by one sample period per field current; ``out`` (n, 2) gets x and v."""
+    """Advance the plant by one period per field current; ``out`` (n, 3): x, v and the current that acts."""
     for k in range(inputs.size):
         newest += 1
         history[newest % HISTORY] = inputs[k]
         period_of(state, history, newest, memory, moments, period, False, b, m, f, p)
-        out[k, 0], out[k, 1] = state[X], state[V]
+        out[k, 0], out[k, 1], out[k, 2] = state[X], state[V], memory[-1]
 
 
 class SolenoidPlant:
@@ -167,9 +169,11 @@ class SolenoidPlant:
         self._drive = Drive(self.parameters, self._fine, held=False)
         self._state = np.zeros(STATE_SIZE)
         self._state[X] = self.parameters["stop_low"]
-        self._current, self._eddy, self._play = 0.0, 0.0, 0.0
+        self._current, self._slope, self._eddy, self._play = 0.0, 0.0, 0.0, 0.0
         self._friction = Friction.of(self.parameters)
         p = self.parameters
+        self._sensor = Sensor(p, period, p["stop_low"])
+        self._channels = {name: Channel(p, name) for name in SIGNALS}
         self._body = Body(
             p["moving_mass"], p["stop_low"], p["stop_high"], p.get("end_stop_contact.restitution", 0.0), 2e-4
         )
@@ -182,39 +186,47 @@ class SolenoidPlant:
 
     def step(self, current: float) -> Mapping[str, float]:
         """Bring the current straight to ``current`` (A) in one sample period; the signals at its end."""
-        truth, field = self._walk(np.array([current]))
-        seen = self._measure(truth, np.array([current]), field)
+        i = np.array([current])
+        slope = (i - self._current) / self.period
+        truth = self._walk(i)
+        seen = self._measure(truth, self._sensor.follow(truth[:, 0]), i, slope)
         return {name: float(values[0]) for name, values in seen.items()}
 
     def simulate(self, current: FloatArray) -> Trajectory:
         """Go on through the currents (n,) at the samples, straight in between; begins with now."""
         i = np.asarray(current, dtype=np.float64)
-        first = np.array([[self._state[X], self._state[V]]])
+        first = np.array([[self._state[X], self._state[V], self._drive.memory[-1]]])
+        slope = np.r_[self._slope, np.diff(i) / self.period]
+        shown = self._sensor.now
         self._current = float(i[0])
-        moved, field = self._walk(i[1:])
-        truth, field = np.concatenate([first, moved]), np.concatenate([[field[0]], field])
+        moved = self._walk(i[1:])
+        truth, position = np.concatenate([first, moved]), np.r_[shown, self._sensor.follow(moved[:, 0])]
         t = self.period * np.arange(len(i))
         jitter = self.parameters["stamp_jitter"] * self._random.standard_normal(len(i))
-        states = {"plunger_position": truth[:, 0], "plunger_velocity": truth[:, 1], "field_current": field}
-        return Trajectory(t + jitter, i, self._measure(truth, i, field), states)
+        names = ("plunger_position", "plunger_velocity", "field_current")
+        states = dict(zip(names, truth.T, strict=True))
+        return Trajectory(t + jitter, i, self._measure(truth, position, i, slope), states)
 
-    def _walk(self, currents: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Let one sample period pass per current; x and v (n, 2), and the field's current (n,)."""
+    def _walk(self, currents: FloatArray) -> FloatArray:
+        """Let one sample period pass per current; x, v and the field's current that acts, (n, 3)."""
+        if not len(currents):
+            return np.empty((0, 3))
         fine = np.interp(
             np.arange(1, FIELD_PARTS * len(currents) + 1) / FIELD_PARTS,
             np.arange(len(currents) + 1),
             np.concatenate([[self._current], currents]),
         )
         field = self._field(fine)
-        out = np.empty((len(fine), 2))
+        out = np.empty((len(fine), 3))
         drive = self._drive
         walk(
             field, self._state, drive.history, drive.newest, drive.memory, drive.moments, self._fine,
             self._body, self._plunger, self._friction, drive.path, out,
         )  # fmt: skip
         drive.newest += len(fine)
-        self._current = float(currents[-1]) if len(currents) else self._current
-        return out[FIELD_PARTS - 1 :: FIELD_PARTS], field[FIELD_PARTS - 1 :: FIELD_PARTS]
+        before = currents[-2] if len(currents) > 1 else self._current
+        self._current, self._slope = float(currents[-1]), float(currents[-1] - before) / self.period
+        return out[FIELD_PARTS - 1 :: FIELD_PARTS]
 
     def _field(self, current: FloatArray) -> FloatArray:
         """The current (n,) that the field corresponds to."""
@@ -232,14 +244,11 @@ class SolenoidPlant:
         field += p.get("residual_magnetism.current", 0.0)
         return np.asarray(field / (1.0 + p.get("magnetic_saturation.coefficient", 0.0) * np.abs(field)))
 
-    def _measure(self, truth: FloatArray, i: FloatArray, field: FloatArray) -> dict[str, FloatArray]:
+    def _measure(
+        self, truth: FloatArray, position: FloatArray, i: FloatArray, slope: FloatArray
+    ) -> dict[str, FloatArray]:
         p = self.parameters
-        rate = np.gradient(i, self.period) if len(i) > 1 else np.zeros(len(i))
-        force = np.array([magnet_force(float(a), float(x)) for a, x in zip(field, truth[:, 0], strict=True)])
-        position = sensed(truth[:, 0], p, self.period)
-        return {
-            "plunger_position": Channel.of(p, "plunger_position").sample(position, self._random),
-            "coil_current": Channel.of(p, "coil_current").sample(i, self._random),
-            "coil_voltage": p["coil_resistance"] * i + p["coil_inductance"] * rate,
-            "magnetic_force": Channel.of(p, "magnetic_force").sample(force, self._random),
-        }
+        force = np.array([magnet_force(float(a), float(x)) for x, _, a in truth])
+        true = {"plunger_position": position, "coil_current": i, "magnetic_force": force}
+        seen = {name: self._channels[name].sample(x, self._random) for name, x in true.items()}
+        return seen | {"coil_voltage": p["coil_resistance"] * i + p["coil_inductance"] * slope}

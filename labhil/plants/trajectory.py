@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -24,46 +25,62 @@ class Trajectory:
     truth: Mapping[str, FloatArray]
 
 
-@dataclass(frozen=True, slots=True)
 class Channel:
-    """How one quantity is sampled: noise (standard deviation, AR(1) correlation) and resolution, SI."""
+    """How one quantity is sampled: noise (standard deviation, AR(1) correlation) and resolution, SI.
 
-    noise: float
-    correlation: float
-    resolution: float
+    Coloured noise goes on from one call to the next.
+    """
 
-    @classmethod
-    def of(cls, values: Mapping[str, float], name: str) -> Channel:
-        """Pick the channel ``name`` out of a plant's parameters."""
-        return cls(
-            values[f"{name}_noise"], values["noise_correlation"], values.get(f"{name}_resolution", 0.0)
-        )
+    def __init__(self, values: Mapping[str, float], name: str) -> None:
+        self.noise = values[f"{name}_noise"]
+        self.correlation = values["noise_correlation"]
+        self.resolution = values.get(f"{name}_resolution", 0.0)
+        self._last: float | None = None
 
     def sample(self, x: FloatArray, random: np.random.Generator) -> FloatArray:
         """Samples (n,) of the true values ``x`` (n,)."""
-        white = random.standard_normal(len(x))
+        noise = random.standard_normal(len(x))
         share = self.correlation
-        if share:
-            # the first sample is as large as the others
-            white[1:] *= np.sqrt(1.0 - share**2)
-            white = np.asarray(lfilter([1.0], [1.0, -share], white))
-        seen = x + self.noise * white
+        if share and len(x):
+            # the very first sample has no one before it, and is as large as the others
+            noise[0 if self._last is not None else 1 :] *= math.sqrt(1.0 - share**2)
+            noise = np.asarray(lfilter([1.0], [1.0, -share], noise, zi=[share * (self._last or 0.0)])[0])
+            self._last = float(noise[-1])
+        seen = x + self.noise * noise
         return np.rint(seen / self.resolution) * self.resolution if self.resolution else seen
 
 
-def lagged(x: FloatArray, h: float, time_constant: float) -> FloatArray:
-    """A sensor's first-order lag over samples ``h`` s apart, straight in between; begins settled."""
-    if time_constant <= 0.0:
-        return x
-    decay = np.exp(-h / time_constant)
-    trail = np.r_[0.0, np.diff(x)] / h * time_constant
-    driven = x - trail - decay * (np.r_[x[0], x[:-1]] - trail)
-    driven[0] = x[0]
-    return np.asarray(lfilter([1.0], [1.0, -decay], driven))
+class Sensor:
+    """A sensor with lag, nonlinearity, gain error and offset; it begins settled at ``start``.
 
+    ``period`` is the time (s) between samples; the quantity goes straight from each to the next.
+    """
 
-def sensed(x: FloatArray, values: Mapping[str, float], h: float) -> FloatArray:
-    """What a sensor with lag, nonlinearity, gain error and offset makes of ``x`` (n,)."""
-    x = lagged(x, h, values.get("sensor_lag.time_constant", 0.0))
-    x = x + values.get("sensor_nonlinearity.cubic", 0.0) * x**3
-    return (1.0 + values.get("sensor_gain.gain", 0.0)) * x + values.get("sensor_offset.offset", 0.0)
+    def __init__(self, values: Mapping[str, float], period: float, start: float) -> None:
+        self._lag = values.get("sensor_lag.time_constant", 0.0) / period
+        self._cubic = values.get("sensor_nonlinearity.cubic", 0.0)
+        self._gain = 1.0 + values.get("sensor_gain.gain", 0.0)
+        self._offset = values.get("sensor_offset.offset", 0.0)
+        self._before = self._lagged = start
+
+    @property
+    def now(self) -> float:
+        """What it shows at the last value that it has followed."""
+        return float(self._shown(np.array([self._lagged]))[0])
+
+    def follow(self, x: FloatArray) -> FloatArray:
+        """Go on through the next values ``x`` (n,); what it shows at each, (n,)."""
+        if not len(x):
+            return x
+        lagged = x
+        if self._lag > 0.0:
+            decay = math.exp(-1.0 / self._lag)
+            earlier = np.r_[self._before, x[:-1]]
+            trail = (x - earlier) * self._lag
+            driven = x - trail - decay * (earlier - trail)
+            lagged = np.asarray(lfilter([1.0], [1.0, -decay], driven, zi=[decay * self._lagged])[0])
+        self._before, self._lagged = float(x[-1]), float(lagged[-1])
+        return self._shown(lagged)
+
+    def _shown(self, x: FloatArray) -> FloatArray:
+        return np.asarray(self._gain * (x + self._cubic * x**3) + self._offset)

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from labhil.errors import UnknownNameError, UsageError
 from labhil.plants.effects import Effect
+
+NOT_NEGATIVE = (
+    "_noise", "_resolution", "_jitter", "warming", ".delay", ".gap", ".left", ".right", ".damping",
+    ".time_constant", "magnetic_hysteresis.width",
+)  # fmt: skip
+"""Endings of the names of sizes that may be zero and never less."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,8 +30,13 @@ class World:
     hidden: Mapping[str, Effect]
 
     def parameters_of(self, effect: str) -> dict[str, float]:
-        """The effect's parameters by full name (``effect.parameter``) with their defaults."""
-        found = self.effects.get(effect) or self.hidden[effect]
+        """The effect's parameters by full name (``effect.parameter``) with their defaults.
+
+        UnknownNameError lists the effects that there are, but for hidden ones.
+        """
+        found = self.effects.get(effect) or self.hidden.get(effect)
+        if found is None:
+            raise UnknownNameError("effect", effect, self.effects)
         return {f"{effect}.{name}": value for name, value in found.parameters.items()}
 
     def all_parameters(self) -> dict[str, float]:
@@ -41,8 +53,6 @@ class World:
         chosen = tuple(terms)
         values = dict(self.bare)
         for term in chosen:
-            if term not in self.effects and term not in self.hidden:
-                raise UnknownNameError("effect", term, self.effects)
             values |= self.parameters_of(term)
         for name, value in overrides.items():
             if name not in values:
@@ -50,22 +60,34 @@ class World:
             values[name] = float(value)
         for name, value in values.items():
             self._check(name, value)
+        low, high = values.get("stop_low", -math.inf), values.get("stop_high", math.inf)
+        if low >= high:
+            raise UsageError(f"stop_high must lie above stop_low ({low:g}), found {high:g}")
         return values
 
     def _refuse(self, name: str, chosen: tuple[str, ...]) -> None:
         known = self.all_parameters()
-        if name not in known:
-            raise UnknownNameError("parameter", name, known)
         effect = name.partition(".")[0]
+        if name not in known:
+            told = [one for one in known if one.partition(".")[0] not in self.hidden]
+            raise UnknownNameError("parameter", name, told)
         raise UsageError(
             f"{name} belongs to {effect}, which is not among the terms: {', '.join(chosen) or 'none'}"
         )
 
     def _check(self, name: str, value: float) -> None:
-        positive = name in self.positive
-        if not abs(value) < float("inf") or (positive and value <= 0.0):
-            kind = "positive" if positive else "finite"
-            raise UsageError(f"{name} must be a {kind} number, found {value:g}")
+        if name in self.positive:
+            fits, kind = 0.0 < value < math.inf, "be a positive number"
+        elif name == "noise_correlation":
+            fits, kind = abs(value) < 1.0, "lie between −1 and 1"
+        elif name.endswith(".restitution"):
+            fits, kind = 0.0 <= value <= 1.0, "be at least 0 and at most 1"
+        elif name.endswith(NOT_NEGATIVE):
+            fits, kind = 0.0 <= value < math.inf, "be a finite number that is not negative"
+        else:
+            fits, kind = abs(value) < math.inf, "be a finite number"
+        if not fits:
+            raise UsageError(f"{name} must {kind}, found {value:g}")
 
 
 FRICTION: Mapping[str, Effect] = {
