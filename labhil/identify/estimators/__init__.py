@@ -82,6 +82,8 @@ def search(
         found = method(ledger, seed, coordinates.start)
     except KeyboardInterrupt:
         ledger.stopped_because = "interrupted"
+        if not ledger.evaluations:
+            ledger.z = coordinates.start
         found = ledger.found()
     return Begin(problem.theta(coordinates.z(found.z)), found)
 

@@ -58,16 +58,26 @@ def cma_es(ledger: Ledger, seed: int, start: FloatArray | None = None, iteration
     except ImportError as error:
         raise MissingExtraError("cma", "search", "the estimator cma_es") from error
     box = ledger.box
+    # draws of its own: nobody else's are begun anew by them
+    random = np.random.default_rng(seed)
     span = box.upper - box.lower
     begin = 0.5 * np.ones(len(box)) if start is None else (box.clip(start) - box.lower) / span
     evolution = cma.CMAEvolutionStrategy(
-        begin, 0.25, {"bounds": [0.0, 1.0], "seed": seed + 1, "maxiter": iterations, "verbose": -9}
+        begin,
+        0.25,
+        {
+            "bounds": [0.0, 1.0],
+            "seed": math.nan,
+            "randn": lambda *shape: random.standard_normal(shape),
+            "maxiter": iterations,
+            "verbose": -9,
+        },
     )
     while not evolution.stop():
         asked = evolution.ask()
         costs = ledger.many(box.lower + np.asarray(asked) * span)
-        # the logarithm keeps its internal arithmetic finite where a plant runs away
-        evolution.tell(asked, [math.log(c + 1e-12) for c in costs])
+        # only ranks count; a logarithm of either sign keeps its stopping rules apt for costs of any size
+        evolution.tell(asked, np.arcsinh(1e12 * costs).tolist())
         if ledger.enough():
             break
     return ledger.found()
@@ -88,7 +98,9 @@ def mcmc(ledger: Ledger, seed: int, start: FloatArray | None = None, iterations:
     begin = box.draw(random, walkers)
     if start is not None:
         near = 1e-3 * (box.upper - box.lower)
-        begin = box.clip(start + near * random.standard_normal(begin.shape))
+        # walkers that share a bound would never leave it: they begin beside it
+        inside = np.clip(start, box.lower + 3.0 * near, box.upper - 3.0 * near)
+        begin = box.clip(inside + near * random.standard_normal(begin.shape))
 
     def log_posterior(z: FloatArray) -> float:
         if np.any(z < box.lower) or np.any(z > box.upper):
@@ -102,8 +114,9 @@ def mcmc(ledger: Ledger, seed: int, start: FloatArray | None = None, iterations:
         if k % 20 == 0 and ledger.enough():
             break
     chain = sampler.get_chain(discard=sampler.iteration // 2, flat=True)
-    time = float(np.max(sampler.get_autocorr_time(quiet=True, tol=0)))
-    ledger.stopped_because = (
-        f"chain of {sampler.iteration} steps is {sampler.iteration / time:.0f} autocorrelation times long"
-    )
+    # a walker that never moved has no autocorrelation
+    with np.errstate(invalid="ignore", divide="ignore"):
+        time = float(np.max(sampler.get_autocorr_time(quiet=True, tol=0)))
+    told = f"is {sampler.iteration / time:.0f} autocorrelation times long" if time > 0.0 else "is too short"
+    ledger.stopped_because = f"chain of {sampler.iteration} steps {told}"
     return ledger.found(draws=np.asarray(chain))

@@ -12,6 +12,9 @@ from labhil.signals import FloatArray
 
 Progress = Callable[[str], None]
 
+WORST = 1e100
+"""What a cost that is no finite number counts as; the squares that libraries form of it stay finite."""
+
 
 @dataclass(frozen=True, slots=True)
 class Box:
@@ -88,16 +91,16 @@ class Ledger:
     def many(self, points: FloatArray) -> FloatArray:
         """Costs (n,) of points (n, P)."""
         inside = self.box.clip(points)
-        if self.threads > 1:
-            with ThreadPoolExecutor(self.threads) as executor:
-                costs = list(executor.map(self.cost, inside))
-        else:
-            costs = [self.cost(z) for z in inside]
-        return np.array([self._note(z, c) for z, c in zip(inside, costs, strict=True)])
+        if self.threads == 1:
+            # one by one, so that an interruption leaves what is known by then
+            return np.array([self._note(z, self.cost(z)) for z in inside])
+        with ThreadPoolExecutor(self.threads) as executor:
+            costs = executor.map(self.cost, inside)
+            return np.array([self._note(z, c) for z, c in zip(inside, costs, strict=True)])
 
     def _note(self, z: FloatArray, cost: float) -> float:
         self.evaluations += 1
-        cost = cost if np.isfinite(cost) else 1e300
+        cost = min(cost, WORST) if np.isfinite(cost) else WORST
         if cost < self.best:
             self.best, self.z = cost, z.copy()
         return cost
