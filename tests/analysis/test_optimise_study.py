@@ -22,6 +22,8 @@ from labhil.optimise.show import show
 from labhil.optimise.study import REFINED_NAME, Effort, Optimisation, run
 from labhil.optimise.swarm import maximise
 
+pytestmark = pytest.mark.extended
+
 SMALL = Effort(held_out=10, swarms=2, iterations=8, best_known=4, rounds=2, settling=12, angles=3, sobol=8)
 
 

@@ -58,7 +58,7 @@ MODEL = RightHandSide(
 
 @pytest.fixture(scope="module")
 def record() -> Record:
-    period, n = 0.1, 1500
+    period, n = 0.1, 800
     random = np.random.default_rng(5)
     pump = np.repeat(random.uniform(0.0, 1.0, n // 50), 50)
     level = np.empty(n)

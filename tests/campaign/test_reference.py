@@ -22,6 +22,8 @@ from labhil.errors import UnknownNameError, UsageError
 from labhil.identify.problem import Point
 from labhil.report.results import finite
 
+pytestmark = pytest.mark.extended
+
 TINY = Effort(0.002, 1)
 
 
