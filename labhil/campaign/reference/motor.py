@@ -17,10 +17,10 @@ from labhil.plants.trajectory import Trajectory
 from labhil.signals import FloatArray, Hold
 
 PERIOD = 0.01
-DURATION = 30.0
+DURATION = 60.0
 HIGHEST = 5.0
 LEVELS = 11
-DWELL = 0.5
+DWELL = 0.3
 UNITS = {"speed": "rad/s", "current": "A"}
 TERMS = (
     "viscous_friction",

@@ -17,11 +17,13 @@ from labhil.identify.estimators.swarm import text_swarm
 from labhil.identify.fit import Fit, Options, fit
 from labhil.identify.fitted import covariances
 from labhil.identify.identifiability import weak_parameters
+from labhil.identify.intervals import Intervals
 from labhil.identify.least_squares import fit_states, least_squares
 from labhil.identify.linear import Orders, linear_study
 from labhil.identify.problem import Point, Problem
 from labhil.identify.statistics import inverse_information
 from labhil.physics.model import index_of
+from labhil.physics.terms import keyed
 from labhil.signals import FloatArray
 
 Progress = Callable[[str], None]
@@ -134,7 +136,9 @@ def _descended(bench: Bench, begin: Mapping[str, float]) -> tuple[dict[str, floa
 def default(bench: Bench, seed: int, effort: Effort, progress: Progress) -> Estimated:
     """The project's own fit, told nothing of truth, box or state, with what it says of its errors."""
     began = time.perf_counter()
-    options = Options(seed=seed, progress=progress)
+    # profiles along what the data do not know are long, and their ends would not be shown
+    method = Intervals.WALD if bench.study.held else Intervals.AUTO
+    options = Options(seed=seed, intervals=method, progress=progress)
     result = fit(bench.model, bench.record, bench.study.terms, options=options)
     keys = bench.study.levels.keys
     places = index_of(bench.model.parameters)
@@ -155,10 +159,15 @@ def _belief(bench: Bench, result: Fit, values: FloatArray) -> Belief:
     at_truth = Problem(bench.model, bench.record, problem.windows, problem.free, truth, bench.sigma)
     z = truth[problem.free] / problem.scale
     states = fit_states(at_truth, z, at_truth.guess) if at_truth.guess.shape[1] else at_truth.guess
+    told = {keyed(row.name, row.joint): row.ci99 for row in result.estimates}
+    ends = [
+        told[row.keys[0]] if len(row.keys) == 1 else (v - QUANTILE * e, v + QUANTILE * e)
+        for row, v, e in zip(bench.study.parameters.rows, values.tolist(), errors.tolist(), strict=True)
+    ]
     return Belief(
         std_errors=tuple(errors.tolist()),
-        low=tuple((values - QUANTILE * errors).tolist()),
-        high=tuple((values + QUANTILE * errors).tolist()),
+        low=tuple(low for low, _ in ends),
+        high=tuple(high for _, high in ends),
         text_reach=tuple((TEXT_REACH * text / np.sqrt(len(bench.record))).tolist()),
         bounds=bounds_of(bench.study, at_truth, Point(z, states))[0],
         window=result.window,

@@ -34,9 +34,9 @@ NAMES: Mapping[Way, str] = {
 class Belief:
     """What a fit says of its own errors, (rows,) each.
 
-    ``std_errors`` are the robust ones and ``low``, ``high`` their 99 % intervals; ``text_reach`` is half of
-    the text's interval, 2.58·√C_ii/√n; ``bounds`` are Cramér-Rao's for the same windows with free states,
-    None where there is none.
+    ``std_errors`` are the robust ones, ``low`` and ``high`` the fit's 99 % intervals (of sums: Wald's);
+    ``text_reach`` is half of the text's interval, 2.58·√C_ii/√n; ``bounds`` are Cramér-Rao's for the same
+    windows with free states, None where there is none.
     """
 
     std_errors: tuple[float, ...]
@@ -188,8 +188,15 @@ def estimated_from(data: Mapping[str, Any]) -> Estimated:
 
 
 def _belief_from(data: Mapping[str, Any]) -> Belief:
-    lists: dict[str, Any] = {name: tuple(value) for name, value in data.items() if isinstance(value, list)}
-    return Belief(**{**data, **lists})
+    # what has no end was written as null; a bound of null is one that does not exist
+    endless = {
+        "std_errors": float("inf"),
+        "low": -float("inf"),
+        "high": float("inf"),
+        "text_reach": float("inf"),
+    }
+    ends = {name: tuple(worst if x is None else x for x in data[name]) for name, worst in endless.items()}
+    return Belief(**{**data, **ends, "bounds": tuple(data["bounds"])})
 
 
 def limits_from(data: Mapping[str, Any]) -> Limits:

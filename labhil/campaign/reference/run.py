@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import multiprocessing
+import os
 import queue
 import signal
 import time
@@ -30,7 +31,7 @@ from labhil.campaign.reference.result import (
 from labhil.campaign.reference.studies import STUDIES, studies_of
 from labhil.campaign.reference.study import Bench, Study
 from labhil.campaign.reference.tables import Computed, tables_of
-from labhil.errors import UsageError
+from labhil.errors import RunStoppedError, UsageError
 from labhil.report.results import finite, write_json
 
 Progress = Callable[[str], None]
@@ -196,9 +197,12 @@ def _begin(told: Any) -> None:
 
 def _one(job: Job, seed: int, effort: Effort) -> Part:
     last = [0.0]
+    parent = os.getppid()
 
     def tell(text: str) -> None:
         now = time.monotonic()
+        if os.getppid() != parent:
+            raise RunStoppedError("the process that asked for this part is gone")
         if now - last[0] >= PATIENCE:
             last[0] = now
             _told.put(text)
