@@ -92,7 +92,7 @@ class Problem:
         simulated = self.model.simulate(self.theta(point.z), self.record, self.windows, point.states)
         residuals = ((simulated - self._measured) / self.sigma).ravel()
         # a plant that runs away is wrong by enough; its square must still be a number
-        return np.clip(residuals, -WORST, WORST)
+        return np.clip(np.nan_to_num(residuals, nan=WORST), -WORST, WORST)
 
     def linearise(self, point: Point, residuals: FloatArray, *, central: bool = False) -> Linearised:
         """Differences of the simulation; ``central`` where the bounds leave room, else one-sided."""
