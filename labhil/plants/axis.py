@@ -1,4 +1,4 @@
-"""A simulated axis: held force in, position out; dry friction by events or on bristles."""
+"""A simulated axis: held force in, position out; rigid, or with its load behind a spring."""
 
 from __future__ import annotations
 
@@ -9,26 +9,33 @@ from typing import NamedTuple
 import numpy as np
 
 from labhil.compiled import compiled
-from labhil.plants.driven import Drive, periods_for
+from labhil.plants.driven import TOLERANCE, Drive, kernel_for
 from labhil.plants.effects import Effect
 from labhil.plants.friction import Friction
-from labhil.plants.input_path import HISTORY, InputPath
-from labhil.plants.mover import STATE_SIZE, Body, V, X
-from labhil.plants.trajectory import Channel, Sensor, Trajectory
-from labhil.plants.world import FRICTION, WAY_IN, WAY_OUT, World, sized
-from labhil.signals import FloatArray
+from labhil.plants.input_path import InputPath
+from labhil.plants.mover import INNER, SENSOR, Body, V, Work, X
+from labhil.plants.trajectory import Channel, Stamps, Trajectory, sensed
+from labhil.plants.world import FRICTION, POSITIVE, SAMPLING, WAY_IN, WAY_OUT, World, sized
+from labhil.signals import FloatArray, IntArray
+
+SIGNALS = ("position", "velocity", "temperature", "drive_current")
+WARMTH, LOAD_X, LOAD_V = INNER, INNER + 1, INNER + 2
 
 AXIS = World(
     bare={
         "moving_mass": 95.0,  # kg
         "drive_gain": 35.15,  # N/V, of the voltage that is told beside the force
-        "temperature_start": 25.0,  # °C
+        "drive_constant": 50.0,  # N/A, of the current that is told beside the force
+        "temperature_start": 25.0,  # °C, also of what surrounds the axis
+        "reference_temperature": 25.0,  # °C, at which viscous friction is what is said
         "warming": 0.0,  # K/J of friction heat
+        "cooling": 0.0,  # 1/s
         "position_noise": 2e-6,  # m
         "velocity_noise": 1e-3,  # m/s
-        "noise_correlation": 0.0,  # of neighbouring samples
+        "temperature_noise": 0.0,  # K
+        "drive_current_noise": 0.02,  # A
         "position_resolution": 0.0,  # m, of an encoder
-        "stamp_jitter": 0.0,  # s
+        **SAMPLING,
     },
     effects={
         **sized(
@@ -42,19 +49,23 @@ AXIS = World(
                 "cubic_viscous_friction": {"coefficient": 500.0},
                 "friction_asymmetry": {"coefficient": 36.0, "level": 0.0},
                 "position_dependent_friction": {"slope": 20.0},
+                "load_dependent_friction": {"coefficient": 0.1},
+                "presliding_friction": {"stiffness": 2e6, "damping": 2e3},
             },
-        ),
-        "presliding_friction": Effect(
-            "dry friction carried by bristles", {"stiffness": 2e6, "damping": 2e3}
         ),
         "temperature_dependent_friction": Effect("viscous friction that falls with warmth", {"rate": 0.02}),
         "constant_force": Effect("a constant push, N", {"force": 3.2}),
         "spring_force": Effect("a spring towards zero, N/m", {"stiffness": 100.0}),
         "spring_hardening": Effect("a spring that stiffens, N/m³", {"coefficient": 1000.0}),
         "cogging_torque": Effect(
-            "a force that repeats along the way", {"amplitude": 3.0, "order": 314.0, "phase": 0.0}
+            "a force that repeats along the way, with a second harmonic, N",
+            {"amplitude": 3.0, "order": 314.0, "phase": 0.0, "second": 0.0},
         ),
         "added_inertia": Effect("a load on the carriage, kg", {"mass": 10.0}),
+        "joint_elasticity": Effect(
+            "a share of the mass hangs on a spring (m/N) with a damper (N·s/m), behind the encoder",
+            {"compliance": 2e-6, "damping": 300.0, "share": 0.7},
+        ),
         **sized(
             WAY_IN,
             {
@@ -68,76 +79,152 @@ AXIS = World(
         ),
         **sized(
             WAY_OUT,
-            {"sensor_offset": {"offset": 0.001}, "sensor_nonlinearity": {"cubic": 0.1}},
+            {
+                "sensor_offset": {"offset": 0.001},
+                "sensor_nonlinearity": {"cubic": 0.1},
+                "quantisation": {"step": 1e-4},
+            },
         ),
     },
-    positive=frozenset(
-        {
-            "moving_mass", "drive_gain", "stribeck_friction.velocity", "presliding_friction.stiffness",
-            "saturation.limit", "rate_limit.rate", "actuator_lag.time_constant", "sensor_lag.time_constant",
-            "hidden_magnet.width",
-        }
-    ),
+    positive=POSITIVE
+    | {
+        "moving_mass", "drive_gain", "drive_constant", "hidden_magnet.width", "hidden_sticky_patch.width",
+    },
     hidden={
         "hidden_magnet": Effect("a magnet under the way that pulls", {"pull": 10.0, "width": 0.02}),
         "hidden_cable": Effect("a cable that pulls beyond a place, N/m", {"stiffness": 200.0, "from": 0.05}),
+        "hidden_sticky_patch": Effect(
+            "a place on the way that rubs harder", {"level": 15.0, "place": 0.05, "width": 0.02}
+        ),
     },
 )  # fmt: skip
 
 
 class Carriage(NamedTuple):
-    """Numbers of the axis over its mass (SI)."""
+    """Numbers of the axis (SI)."""
 
-    inverse_mass: float
     force: float
     spring: float
     hardening: float
     cogging: float
+    second: float
     order: float
     phase: float
+    load_share: float
+    start: float
+    reference: float
+    warming: float
+    cooling: float
+    thinning: float
+    viscous: float
+    dry: float
+    load: float
+    stiffness: float
+    damping: float
     magnet: float
     magnet_width: float
     cable: float
     cable_from: float
+    patch: float
+    patch_place: float
+    patch_width: float
+
+    @classmethod
+    def of(cls, p: Mapping[str, float]) -> Carriage:
+        """Pick them out of a plant's parameters."""
+        compliance = p.get("joint_elasticity.compliance", 0.0)
+        return cls(
+            force=p.get("constant_force.force", 0.0),
+            spring=p.get("spring_force.stiffness", 0.0),
+            hardening=p.get("spring_hardening.coefficient", 0.0),
+            cogging=p.get("cogging_torque.amplitude", 0.0),
+            second=p.get("cogging_torque.second", 0.0),
+            order=p.get("cogging_torque.order", 1.0),
+            phase=p.get("cogging_torque.phase", 0.0),
+            load_share=p.get("load_dependent_friction.coefficient", 0.0),
+            start=p["temperature_start"],
+            reference=p["reference_temperature"],
+            warming=p["warming"],
+            cooling=p["cooling"],
+            thinning=p.get("temperature_dependent_friction.rate", 0.0),
+            viscous=p.get("viscous_friction.coefficient", 0.0),
+            dry=p.get("coulomb_friction.level", 0.0),
+            load=behind_spring(p),
+            stiffness=1.0 / compliance if compliance else 0.0,
+            damping=p.get("joint_elasticity.damping", 0.0),
+            magnet=p.get("hidden_magnet.pull", 0.0),
+            magnet_width=p.get("hidden_magnet.width", 1.0),
+            cable=p.get("hidden_cable.stiffness", 0.0),
+            cable_from=p.get("hidden_cable.from", 0.0),
+            patch=p.get("hidden_sticky_patch.level", 0.0),
+            patch_place=p.get("hidden_sticky_patch.place", 0.0),
+            patch_width=p.get("hidden_sticky_patch.width", 1.0),
+        )
+
+
+def mass_of(p: Mapping[str, float]) -> float:
+    """All that moves, kg."""
+    return p["moving_mass"] + p.get("added_inertia.mass", 0.0)
+
+
+def behind_spring(p: Mapping[str, float]) -> float:
+    """What of it hangs on the spring, kg; nothing where the joint does not give way."""
+    share = p.get("joint_elasticity.share", 0.0) if p.get("joint_elasticity.compliance", 0.0) else 0.0
+    return share * mass_of(p)
 
 
 @compiled
-def push(x: float, v: float, _: float, u: float, m: Carriage) -> tuple[float, float]:
-    """Acceleration without friction, m/s²; there is no inner state."""
-    a = u * m.inverse_mass + m.force - x * (m.spring + m.hardening * x * x)
-    a -= m.cogging * math.sin(m.order * x + m.phase)
+def force_of(x: float, m: Carriage) -> float:
+    """Force (N) along the way by all but the drive, friction and the load."""
+    force = m.force - x * (m.spring + m.hardening * x * x)
+    if m.cogging != 0.0 or m.second != 0.0:
+        turned = m.order * x + m.phase
+        force -= m.cogging * math.sin(turned) + m.second * math.sin(2.0 * turned)
     if m.magnet != 0.0:
         away = x / m.magnet_width
-        a -= m.magnet * away * math.exp(0.5 - 0.5 * away * away)
+        force -= m.magnet * away * math.exp(0.5 - 0.5 * away * away)
     if m.cable != 0.0 and x > m.cable_from:
-        a -= m.cable * (x - m.cable_from)
-    return a, 0.0
-
-
-period_of = periods_for(push)
+        force -= m.cable * (x - m.cable_from)
+    return force
 
 
 @compiled
-def walk(
-    inputs: FloatArray, state: FloatArray, history: FloatArray, newest: int, memory: FloatArray,
-    moments: FloatArray, period: float, heat: FloatArray, warming: float, rate: float,
-    b: Body, m: Carriage, f: Friction, p: InputPath, out: FloatArray,
-) -> None:  # fmt: skip
-    """Advance the plant by one sample period per input; ``out`` (n, 3) gets x, v and temperature.
+def push(s: FloatArray, u: float, m: Carriage, rates: FloatArray) -> tuple[float, float, float]:
+    """Force without friction, further dry friction (N), and what is left of viscous friction."""
+    x, v = s[X], s[V]
+    force = u + force_of(x, m)
+    rates[LOAD_X], rates[LOAD_V] = 0.0, 0.0
+    if m.load > 0.0:
+        pull = m.stiffness * (x - s[LOAD_X]) + m.damping * (v - s[LOAD_V])
+        rates[LOAD_X], rates[LOAD_V] = s[LOAD_V], pull / m.load
+        force -= pull
+    thinned = math.exp(-m.thinning * (s[WARMTH] - m.reference)) if m.thinning != 0.0 else 1.0
+    speed = abs(v)
+    heat = speed * (m.dry + thinned * m.viscous * speed)
+    rates[WARMTH] = m.warming * heat - m.cooling * (s[WARMTH] - m.start)
+    rubs = m.load_share * abs(u)
+    if m.patch != 0.0:
+        away = (x - m.patch_place) / m.patch_width
+        rubs += m.patch * math.exp(-0.5 * away * away)
+    return force, rubs, thinned
 
-    ``heat`` (2,) is the temperature and the one at which viscous friction is what it is said to be.
-    """
-    for k in range(inputs.size):
-        newest += 1
-        history[newest % HISTORY] = inputs[k]
-        g = Friction(
-            f.viscous * math.exp(-rate * (heat[0] - heat[1])), f.quadratic, f.cubic, f.asymmetric, f.coulomb,
-            f.stribeck, f.stribeck_velocity, f.static, f.asymmetric_level, f.slope, f.stiffness, f.damping,
-        )  # fmt: skip
-        period_of(state, history, newest, memory, moments, period, True, b, m, g, p)
-        speed = abs(state[V])
-        heat[0] += period * warming * speed * (g.coulomb + g.viscous * speed)
-        out[k, 0], out[k, 1], out[k, 2] = state[X], state[V], heat[0]
+
+@compiled
+def remember(s: FloatArray, u: float, m: Carriage) -> None:
+    """An axis keeps nothing beside its states."""
+
+
+run_axis = kernel_for(push, remember)
+
+
+@compiled
+def run(
+    inputs: FloatArray, ends: FloatArray, clock: FloatArray, times: FloatArray, values: FloatArray,
+    count: IntArray, memory: FloatArray, held: bool, s: FloatArray, mode: FloatArray,
+    b: Body, m: Carriage, f: Friction, p: InputPath, w: Work, out: FloatArray,
+) -> None:  # fmt: skip
+    """See :func:`labhil.plants.driven.run`."""
+    run_axis(inputs, ends, clock, times, values, count, memory, held, s, mode, b, m, f, p, w, out)
 
 
 class AxisPlant:
@@ -155,72 +242,40 @@ class AxisPlant:
         period: float = 0.001,
     ) -> None:
         self.terms = tuple(terms)
-        self.parameters = AXIS.resolve(self.terms, parameters or {})
+        self.parameters = p = AXIS.resolve(self.terms, parameters or {})
         self.period = period
-        self._random = np.random.default_rng(seed)
-        self._drive = Drive(self.parameters, period, held=True)
-        self._state = np.zeros(STATE_SIZE)
-        start = self.parameters["temperature_start"]
-        self._heat = np.array([start, start])
-        self._friction = Friction.of(self.parameters)
-        self._sensor = Sensor(self.parameters, period, 0.0)
-        self._channels = {name: Channel(self.parameters, name) for name in ("position", "velocity")}
-        mass = self.parameters["moving_mass"] + self.parameters.get("added_inertia.mass", 0.0)
-        self._body = Body(mass, -np.inf, np.inf, 0.0, 1e-3)
-        self._carriage = self._numbers(mass)
-
-    def _numbers(self, mass: float) -> Carriage:
-        p = self.parameters
-        return Carriage(
-            inverse_mass=1.0 / mass,
-            force=p.get("constant_force.force", 0.0) / mass,
-            spring=p.get("spring_force.stiffness", 0.0) / mass,
-            hardening=p.get("spring_hardening.coefficient", 0.0) / mass,
-            cogging=p.get("cogging_torque.amplitude", 0.0) / mass,
-            order=p.get("cogging_torque.order", 1.0),
-            phase=p.get("cogging_torque.phase", 0.0),
-            magnet=p.get("hidden_magnet.pull", 0.0) / mass,
-            magnet_width=p.get("hidden_magnet.width", 1.0),
-            cable=p.get("hidden_cable.stiffness", 0.0) / mass,
-            cable_from=p.get("hidden_cable.from", 0.0),
-        )
+        lag, sensor_lag = (p.get(f"{name}.time_constant", 0.0) for name in ("actuator_lag", "sensor_lag"))
+        body = Body(mass_of(p) - behind_spring(p), -math.inf, math.inf, 0.0, lag, sensor_lag, X, TOLERANCE)
+        inner = (p["temperature_start"], 0.0, 0.0)
+        self.drive = Drive(p, run, Carriage.of(p), body, Stamps(p, period, seed), inner=inner)
+        step = p.get("quantisation.step", 0.0)
+        self._channels = {name: Channel(p, name, seed, step * (name == "position")) for name in SIGNALS}
 
     def step(self, force: float) -> Mapping[str, float]:
         """Hold ``force`` (N) for one sample period; return the signals at its end, measured."""
-        truth = self._walk(np.array([force]))
-        seen = self._measure(truth, self._sensor.follow(truth[:, 0]), np.array([force]))
-        return {name: float(values[0]) for name, values in seen.items()}
+        seen = self._measure(self.drive.step(force), np.array([force]))
+        return {name: float(x[0]) for name, x in seen.items()}
 
     def simulate(self, force: FloatArray) -> Trajectory:
         """Go on through the forces (n,) that are held from each sample to the next; begins with now."""
         u = np.asarray(force, dtype=np.float64)
-        first = np.array([[self._state[X], self._state[V], self._heat[0]]])
-        shown = self._sensor.now
-        moved = self._walk(u[:-1])
-        truth, position = np.concatenate([first, moved]), np.r_[shown, self._sensor.follow(moved[:, 0])]
-        t = self.period * np.arange(len(u))
-        jitter = self.parameters["stamp_jitter"] * self._random.standard_normal(len(u))
-        states = dict(zip(("position", "velocity", "temperature"), truth.T, strict=True))
-        return Trajectory(t + jitter, u, self._measure(truth, position, u), states)
-
-    def _walk(self, inputs: FloatArray) -> FloatArray:
-        """Let one sample period pass per force that is held in it; x, v, temperature (n, 3)."""
-        p, drive = self.parameters, self._drive
-        out = np.empty((len(inputs), 3))
-        drive.history[drive.newest % HISTORY] = inputs[0] if len(inputs) else 0.0
-        walk(
-            np.append(inputs[1:], inputs[-1:]), self._state, drive.history, drive.newest, drive.memory,
-            drive.moments, self.period, self._heat, p["warming"],
-            p.get("temperature_dependent_friction.rate", 0.0), self._body, self._carriage, self._friction,
-            drive.path, out,
-        )  # fmt: skip
-        drive.newest += len(inputs)
-        return out
-
-    def _measure(self, truth: FloatArray, position: FloatArray, force: FloatArray) -> dict[str, FloatArray]:
-        return {
-            "position": self._channels["position"].sample(position, self._random),
-            "velocity": self._channels["velocity"].sample(truth[:, 1], self._random),
-            "temperature": truth[:, 2],
-            "drive_voltage": force / self.parameters["drive_gain"],
+        rows, t = self.drive.follow(u)
+        truth = {
+            "position": rows[:, X],
+            "velocity": rows[:, V],
+            "temperature": rows[:, WARMTH],
+            "acting_force": rows[:, -1],
         }
+        return Trajectory(self.drive.stamps.seen(t), u, self._measure(rows, u), truth)
+
+    def _measure(self, rows: FloatArray, force: FloatArray) -> dict[str, FloatArray]:
+        p = self.parameters
+        position = rows[:, SENSOR if "sensor_lag.time_constant" in p else X]
+        true = {
+            "position": sensed(position, p),
+            "velocity": rows[:, V],
+            "temperature": rows[:, WARMTH],
+            "drive_current": rows[:, -1] / p["drive_constant"],
+        }
+        seen = {name: self._channels[name].sample(x) for name, x in true.items()}
+        return seen | {"drive_voltage": force / p["drive_gain"]}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,9 +42,9 @@ class Trajectory:
 class BallBeamPlant:
     """The world of one rig; it is made of the effects in ``terms`` and of nothing else.
 
-    ``parameters`` overrides defaults by name (SI); ``seed`` fixes the noise; ``period`` is the time
-    (s) between samples. Begins level, with the ball at rest at ``start_position``. Raises
-    UnknownNameError or UsageError for names and values that make no world.
+    ``parameters`` overrides defaults by name (SI); ``seed`` fixes the noise, which ``noise`` draws (unit
+    variance); ``period`` is the time (s) between samples. Begins level, with the ball at rest at
+    ``start_position``. Raises UnknownNameError or UsageError for names and values that make no world.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class BallBeamPlant:
             raise UsageError(f"time_delay.delay is too long for a sample period of {period:g} s")
         remembers = self._path != NEUTRAL or self.sensor.lag > 0.0
         self._moments = moments_of(self._path.delay / period) if remembers else np.ones(1)
-        self._random = np.random.default_rng(seed)
+        self.noise: Callable[[int], FloatArray] = np.random.default_rng(seed).standard_normal
         self.place(self.parameters["start_position"])
 
     def place(self, position: float, angle: float = 0.0) -> None:
@@ -85,7 +85,7 @@ class BallBeamPlant:
 
     def count(self) -> int:
         """Sample the sensor now, once more; return the count."""
-        return int(self.sensor.counts(self._lagged, self._random.standard_normal(1))[0])
+        return int(self.sensor.counts(self._lagged, self.noise(1))[0])
 
     @property
     def position(self) -> float:
@@ -108,7 +108,7 @@ class BallBeamPlant:
             self._history[:] = self.angle
         first = np.array([[self._ball[POSITION], self._ball[VELOCITY], self._lagged[0]]])
         truth = np.concatenate([first, self._walk(np.asarray(angles[1:], dtype=np.float64))])
-        counts = self.sensor.counts(truth[:, 2], self._random.standard_normal(len(truth)))
+        counts = self.sensor.counts(truth[:, 2], self.noise(len(truth)))
         return Trajectory(
             t=self.period * np.arange(len(truth), dtype=np.float64),
             counts=counts,

@@ -1,80 +1,152 @@
-"""How a command reaches a part, moment after moment of every sample period, for commands that are held."""
+"""A plant that one command drives: sample after sample through the way in, and what it remembers of it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import FunctionType
 from typing import Any
 
-import numba
 import numpy as np
 
-from labhil.compiled import compiled
+from labhil.compiled import specialised
 from labhil.errors import UsageError
-from labhil.plants.ball_beam import moments_of
 from labhil.plants.friction import Friction
-from labhil.plants.input_path import HISTORY, NEUTRAL, InputPath, follow, settled
-from labhil.plants.mover import Body, Push, move, mover_for
-from labhil.signals import FloatArray
+from labhil.plants.input_path import InputPath
+from labhil.plants.mover import FLOOR, INNER, LAG, SENSOR, STAGES, Body, Work, X, move, mover_for
+from labhil.plants.trajectory import Stamps
+from labhil.plants.way_in import HISTORY, LIMITED, NEWEST, add, command, through
+from labhil.signals import FloatArray, IntArray
 
-JUMP = 1e-9
-"""How long (s) a step of a held command takes on its way through the effects."""
+NEAR = 1e-9
+"""Share of a sample period within which two moments are one."""
+FIRST_PACE = 0.05
+"""Share of a sample period that the very first step takes."""
+LONGEST_DELAY = HISTORY - 24
+"""Sample periods that a delay may last."""
+TOLERANCE = 1e-9
+"""Error of one step over the largest size that a state has had, where nothing but events is abrupt."""
+
+Kernel = Callable[..., None]
+
+
+def run(
+    inputs: FloatArray, ends: FloatArray, clock: FloatArray, times: FloatArray, values: FloatArray,
+    count: IntArray, memory: FloatArray, held: bool, s: FloatArray, mode: FloatArray,
+    b: Body, m: Any, f: Friction, p: InputPath, w: Work, out: FloatArray,
+) -> None:  # fmt: skip
+    """Let time pass up to each of ``ends`` (n,) s with the inputs (n,); ``out`` (n, states + 1).
+
+    An input that is held acts from the beginning of its period, another one is reached straight at its end.
+    A row of ``out`` holds the states at the end of a period and the input that acts there.
+    """
+    for n in range(inputs.size):
+        begin, end = clock[0], ends[n]
+        near = NEAR * (end - begin)
+        add(times, values, count, begin if held else end, inputs[n])
+        t, u = begin, 0.0
+        while end - t > near:
+            course = command(times, values, count, t, p.delay, near, held)
+            u, rise, left = through(memory, course, p)
+            h = max(min(left, end - t), near)
+            move(s, mode, u, rise, h, b, m, f, w)
+            memory[LIMITED] += h * rise
+            u += h * rise
+            t += h
+        clock[0] = end
+        for j in range(s.size):
+            out[n, j] = s[j]
+        out[n, s.size] = s[LAG] if b.lag > 0.0 else u
+
+
+def kernel_for(push: Callable[..., Any], remember: Callable[..., Any]) -> Kernel:
+    """:func:`run` compiled for a rig's push, to be called by a kernel that is kept on disk."""
+    scope = {**globals(), "move": mover_for(push, remember)}
+    bound: Kernel = specialised(FunctionType(run.__code__, scope, "run"))
+    return bound
+
+
+def packed(numbers: Any) -> Any:
+    """A named tuple of numbers as one record, which kernels hand on as a whole."""
+    kinds = [(name, type(value)) for name, value in zip(numbers._fields, numbers, strict=True)]
+    return np.array([tuple(numbers)], dtype=kinds)[0]
 
 
 class Drive:
-    """The way of a command into a plant: what it remembers, and the moments into which a period is cut."""
+    """A rig in time: its states, its clock, and what its way in remembers.
 
-    def __init__(self, values: Mapping[str, float], period: float, held: bool) -> None:
-        if not 0.0 < period < float("inf"):
-            raise UsageError(f"the period must be a positive number of seconds, found {period:g}")
+    ``kernel`` is the rig's :func:`run`, ``numbers`` what its push takes and ``inner`` its own states at the
+    beginning; the part begins at rest at ``place``, at a command of 0 as after a long time. Without
+    ``held`` a command is reached straight at the end of its period.
+    """
+
+    def __init__(
+        self,
+        values: Mapping[str, float],
+        kernel: Kernel,
+        numbers: Any,
+        body: Body,
+        stamps: Stamps,
+        held: bool = True,
+        place: float = 0.0,
+        inner: Sequence[float] = (),
+    ) -> None:
         self.path = InputPath.of(values)
-        self.held = held
-        if self.path.delay > (HISTORY - 2) * period:
-            raise UsageError(f"time_delay.delay is too long for a sample period of {period:g} s")
-        self.moments = moments_of(self.path.delay / period) if self.path != NEUTRAL else np.ones(1)
-        self.start(0.0)
+        if self.path.delay > LONGEST_DELAY * stamps.period:
+            raise UsageError(f"time_delay.delay is too long for a sample period of {stamps.period:g} s")
+        self.tolerance = body.tolerance
+        self._kernel, self._numbers, self._body = kernel, packed(numbers), body
+        self._friction, self._way = packed(Friction.of(values)), packed(self.path)
+        self.stamps, self._held = stamps, held
+        n = INNER + len(inner)
+        self._state = np.zeros(n)
+        self._state[X], self._state[INNER:] = place, inner
+        self._state[SENSOR] = self._state[body.seen]
+        self._mode = np.array([0.0, FIRST_PACE * stamps.period])
+        self._clock, self._memory = np.zeros(1), np.zeros(2)
+        self._times, self._values = np.zeros(HISTORY), np.zeros(HISTORY)
+        self._count = np.zeros(2, dtype=np.int64)
+        self._work = Work(np.zeros((STAGES, n)), np.zeros(n), np.full(n, FLOOR))
+        self._row = np.append(self._state, 0.0)
 
-    def start(self, value: float) -> None:
-        """Settle at a command of ``value``, as after a long time."""
-        self.memory = settled(value, self.path)
-        self.history = np.full(HISTORY, value)
-        self.newest = 0
+    @property
+    def time(self) -> float:
+        """Time since the plant began, s."""
+        return float(self._clock[0])
 
+    def step(self, value: float) -> FloatArray:
+        """Let one sample period pass; the states and the acting input (1, states + 1) at its end."""
+        rows, _ = self._walk(np.array([value]))
+        return rows
 
-@compiled
-def command_at(history: FloatArray, newest: int, behind: float, held: bool) -> float:
-    """The command ``behind`` sample periods before the end of the newest period."""
-    whole = int(np.floor(behind))
-    # a held command of the period that ends at sample n is that of sample n − 1
-    earlier = history[(newest - whole - 1) % HISTORY]
-    if held:
-        return float(earlier)
-    later = history[(newest - whole) % HISTORY]
-    return float(later + (behind - whole) * (earlier - later))
+    def follow(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Go on through the input's values (n,) at the samples, the first of which is now.
 
+        Returns the states and the acting input at the samples, (n, states + 1), and their times (n,), s from
+        now. UsageError for values that are not finite, and for a plant that runs away.
+        """
+        if not len(values) or not np.all(np.isfinite(values)):
+            raise UsageError("a simulation needs one finite value of its input at least, and no others")
+        begin, first = self.time, self._row
+        if not self._held:
+            self._jump(float(values[0]))
+        rows, ends = self._walk(values[:-1] if self._held else values[1:])
+        return np.vstack([first, rows]), np.append(begin, ends) - begin
 
-def period_of(
-    state: FloatArray, history: FloatArray, newest: int, memory: FloatArray, moments: FloatArray,
-    period: float, held: bool, b: Body, m: Any, f: Friction, p: InputPath,
-) -> None:  # fmt: skip
-    """Let one sample period pass; ``history`` up to ``newest`` holds the commands at the samples."""
-    passed = 0.0
-    for moment in moments:
-        h = (moment - passed) * period
-        behind = p.delay / period
-        if held:
-            wanted = command_at(history, newest, behind + 1.0 - 0.5 * (moment + passed), True)
-            before = follow(memory, wanted, JUMP, p)
-        else:
-            wanted = command_at(history, newest, behind + 1.0 - moment, False)
-            before = memory[-1]
-        passed = moment
-        after = follow(memory, wanted, h, p)
-        move(state, before, (after - before) / h, h, b, m, f)
+    def _walk(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        ends = self.stamps.ends(self.time, len(values))
+        rows = np.empty((len(values), len(self._row)))
+        self._kernel(
+            values, ends, self._clock, self._times, self._values, self._count, self._memory, self._held,
+            self._state, self._mode, packed(self._body._replace(tolerance=self.tolerance)), self._numbers,
+            self._friction, self._way, self._work, rows,
+        )  # fmt: skip
+        if len(rows):
+            self._row = rows[-1].copy()
+        if not np.all(np.isfinite(self._row)):
+            raise UsageError("the plant runs away with these parameters: its states are no finite numbers")
+        return rows, ends
 
-
-def periods_for(push: Push) -> Callable[..., None]:
-    """:func:`period_of` compiled for a rig's push, to be called by a kernel that is kept on disk."""
-    scope = {**globals(), "move": mover_for(push)}
-    bound: Callable[..., None] = numba.njit(nogil=True)(FunctionType(period_of.__code__, scope, "period_of"))
-    return bound
+    def _jump(self, value: float) -> None:
+        """A straight input that does not begin where it was last jumps there."""
+        if value != self._values[self._count[NEWEST] % HISTORY]:
+            add(self._times, self._values, self._count, self.time, value)

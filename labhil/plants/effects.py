@@ -66,18 +66,34 @@ EFFECTS: Mapping[str, Effect] = {
 }
 """Every effect by its name; a plant that does not name one is exactly the plant without it."""
 
+HIDDEN: Mapping[str, Effect] = {
+    "hidden_magnet": Effect(
+        "a magnet under the beam: pull N at its strongest, place and width m",
+        {"pull": 0.05, "place": 0.05, "width": 0.02},
+    ),
+    "hidden_sticky_patch": Effect(
+        "a place on the beam that holds the ball harder, N, m", {"level": 0.05, "place": -0.05, "width": 0.01}
+    ),
+    "hidden_cable": Effect(
+        "a cable that pulls the ball back beyond a place, N/m", {"stiffness": 1.0, "from": 0.05}
+    ),
+}
+"""Effects in no list of names, for trials with physics that nobody expects."""
+
 DRY = ("coulomb_friction", "stribeck_friction", "friction_asymmetry", "position_dependent_friction")
 POSITIVE = {
     "ball_mass", "ball_radius", "crank_radius", "beam_length", "stop", "adc_bits", "adc_range",
     "stribeck_friction.velocity", "presliding_friction.stiffness", "saturation.limit", "rate_limit.rate",
-    "actuator_lag.time_constant", "sensor_lag.time_constant",
+    "actuator_lag.time_constant", "sensor_lag.time_constant", "hidden_magnet.width",
+    "hidden_sticky_patch.width",
 }  # fmt: skip
 LONGEST_DELAY = 2.0
 
 
 def parameters_of(effect: str) -> dict[str, float]:
     """Return the effect's parameters by full name (``effect.parameter``) with their defaults."""
-    return {f"{effect}.{name}": value for name, value in EFFECTS[effect].parameters.items()}
+    found = HIDDEN[effect] if effect in HIDDEN else EFFECTS[effect]
+    return {f"{effect}.{name}": value for name, value in found.parameters.items()}
 
 
 def all_parameters() -> dict[str, float]:
@@ -94,7 +110,7 @@ def resolve(terms: Iterable[str], overrides: Mapping[str, float]) -> dict[str, f
     """
     chosen = tuple(terms)
     for term in chosen:
-        if term not in EFFECTS:
+        if term not in EFFECTS and term not in HIDDEN:
             raise UnknownNameError("effect", term, EFFECTS)
     values = dict(BARE_RIG)
     for term in chosen:

@@ -1,7 +1,7 @@
-"""Friction of the simulated ball: an event-based law, and bristles for presliding.
+"""Friction of one simulated part: an event-based law, and bristles for presliding.
 
-The event-based law has two modes. A ball that moves towards ``side`` (±1) feels the dry level for
-that side; a ball at rest (side 0) feels whatever keeps it there, up to the hold.
+The event-based law has two modes. A part that moves towards ``side`` (±1) feels the dry level for
+that side; a part at rest (side 0) feels whatever keeps it there, up to the hold.
 """
 
 from __future__ import annotations
@@ -55,25 +55,28 @@ class Friction(NamedTuple):
 
 @compiled
 def side_of(v: float) -> float:
-    """Return +1 or −1 for a ball that moves with v (m/s), 0 for one at rest."""
+    """Return +1 or −1 for a part that moves with v (m/s), 0 for one at rest."""
     if v == 0.0:
         return 0.0
     return 1.0 if v > 0.0 else -1.0
 
 
 @compiled
-def dry_level(x: float, speed: float, side: float, f: Friction) -> float:
-    """Return the dry friction (N) of a ball at x (m) that moves towards ``side``; never negative."""
-    level = f.coulomb + side * f.asymmetric_level + f.slope * x
+def dry_level(x: float, speed: float, side: float, f: Friction, more: float = 0.0) -> float:
+    """Return the dry friction (N) of a part at x (m) that moves towards ``side``; never negative.
+
+    ``more`` (N) is a rig's own: what grows with a load, or sticks at a place.
+    """
+    level = f.coulomb + side * f.asymmetric_level + f.slope * x + more
     if f.stribeck != 0.0:
         level += f.stribeck * math.exp(-speed / f.stribeck_velocity)
     return max(level, 0.0)
 
 
 @compiled
-def hold_level(x: float, side: float, f: Friction) -> float:
-    """Return the force (N) towards ``side`` that a ball at rest at x (m) just withstands."""
-    return dry_level(x, 0.0, side, f) + max(f.static, 0.0)
+def hold_level(x: float, side: float, f: Friction, more: float = 0.0) -> float:
+    """Return the force (N) towards ``side`` that a part at rest at x (m) just withstands."""
+    return dry_level(x, 0.0, side, f, more) + max(f.static, 0.0)
 
 
 @compiled
@@ -84,16 +87,16 @@ def viscous_force(v: float, f: Friction) -> float:
 
 
 @compiled
-def resistance(x: float, v: float, side: float, f: Friction) -> float:
-    """Return the whole friction (N) of a ball that moves towards ``side``."""
-    return side * dry_level(x, abs(v), side, f) + viscous_force(v, f)
+def resistance(x: float, v: float, side: float, f: Friction, more: float = 0.0) -> float:
+    """Return the whole friction (N) of a part that moves towards ``side``."""
+    return side * dry_level(x, abs(v), side, f, more) + viscous_force(v, f)
 
 
 @compiled
-def bristle_level(x: float, v: float, f: Friction) -> float:
+def bristle_level(x: float, v: float, f: Friction, more: float = 0.0) -> float:
     """Return the dry friction (N) that bristles bend up to at velocity v (m/s)."""
     speed = abs(v)
-    return dry_level(x, speed, side_of(v), f) + f.static * math.exp(-speed / STATIC_VELOCITY)
+    return dry_level(x, speed, side_of(v), f, more) + f.static * math.exp(-speed / STATIC_VELOCITY)
 
 
 @compiled

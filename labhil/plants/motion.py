@@ -46,6 +46,14 @@ class Mechanics(NamedTuple):
     spring: float
     stop: float
     restitution: float
+    magnet: float
+    magnet_place: float
+    magnet_width: float
+    patch: float
+    patch_place: float
+    patch_width: float
+    cable: float
+    cable_from: float
 
     @classmethod
     def of(cls, values: Mapping[str, float]) -> Mechanics:
@@ -61,6 +69,14 @@ class Mechanics(NamedTuple):
             spring=values.get("spring_force.stiffness", 0.0),
             stop=values["stop"],
             restitution=values["restitution"],
+            magnet=values.get("hidden_magnet.pull", 0.0),
+            magnet_place=values.get("hidden_magnet.place", 0.0),
+            magnet_width=values.get("hidden_magnet.width", 1.0),
+            patch=values.get("hidden_sticky_patch.level", 0.0),
+            patch_place=values.get("hidden_sticky_patch.place", 0.0),
+            patch_width=values.get("hidden_sticky_patch.width", 1.0),
+            cable=values.get("hidden_cable.stiffness", 0.0),
+            cable_from=values.get("hidden_cable.from", 0.0),
         )
 
 
@@ -79,7 +95,22 @@ def push(x: float, angle: float, turning: float, m: Mechanics) -> float:
     rate = m.ratio * math.cos(angle) * turning / cosine
     growth = (rate * rate - turning * turning) * sine / cosine
     by_tilt = m.mass * (STANDARD_GRAVITY * sine + x * rate * rate) - m.rolling * growth
-    return by_tilt + m.force - m.spring * x
+    force = by_tilt + m.force - m.spring * x
+    if m.magnet != 0.0:
+        away = (x - m.magnet_place) / m.magnet_width
+        force -= m.magnet * away * math.exp(0.5 - 0.5 * away * away)
+    if m.cable != 0.0 and x > m.cable_from:
+        force -= m.cable * (x - m.cable_from)
+    return force
+
+
+@compiled
+def sticking(x: float, m: Mechanics) -> float:
+    """Return the dry friction (N) that a sticky place adds at x (m)."""
+    if m.patch == 0.0:
+        return 0.0
+    away = (x - m.patch_place) / m.patch_width
+    return m.patch * math.exp(-0.5 * away * away)
 
 
 @compiled
@@ -89,13 +120,13 @@ def roll(
     """Return x and v of a ball that moves towards ``side``, h (s) later (classical Runge-Kutta)."""
     half = 0.5 * h
     middle, end = angle + half * turning, angle + h * turning
-    a1 = (push(x, angle, turning, m) - resistance(x, v, side, f)) / m.inertia
+    a1 = (push(x, angle, turning, m) - resistance(x, v, side, f, sticking(x, m))) / m.inertia
     x2, v2 = x + half * v, v + half * a1
-    a2 = (push(x2, middle, turning, m) - resistance(x2, v2, side, f)) / m.inertia
+    a2 = (push(x2, middle, turning, m) - resistance(x2, v2, side, f, sticking(x2, m))) / m.inertia
     x3, v3 = x + half * v2, v + half * a2
-    a3 = (push(x3, middle, turning, m) - resistance(x3, v3, side, f)) / m.inertia
+    a3 = (push(x3, middle, turning, m) - resistance(x3, v3, side, f, sticking(x3, m))) / m.inertia
     x4, v4 = x + h * v3, v + h * a3
-    a4 = (push(x4, end, turning, m) - resistance(x4, v4, side, f)) / m.inertia
+    a4 = (push(x4, end, turning, m) - resistance(x4, v4, side, f, sticking(x4, m))) / m.inertia
     return x + h * (v + 2.0 * (v2 + v3) + v4) / 6.0, v + h * (a1 + 2.0 * (a2 + a3) + a4) / 6.0
 
 
@@ -104,16 +135,16 @@ def stride(x: float, v: float, side: float, angle: float, turning: float, m: Mec
     """Return how long a step (s) may be: short against the time to cross the Stribeck velocity."""
     if f.stribeck == 0.0:
         return LONGEST_STEP
-    pull = abs(push(x, angle, turning, m) - resistance(x, v, side, f)) / m.inertia
+    pull = abs(push(x, angle, turning, m) - resistance(x, v, side, f, sticking(x, m))) / m.inertia
     return min(LONGEST_STEP, 0.2 * (f.stribeck_velocity + abs(v)) / (pull + 1e-9))
 
 
 @compiled
 def breaks_away(x: float, force: float, m: Mechanics, f: Friction) -> float:
     """Return the side towards which ``force`` (N) moves a ball at rest, 0 when it holds; stops hold too."""
-    if force > hold_level(x, 1.0, f) and x < m.stop:
+    if force > hold_level(x, 1.0, f, sticking(x, m)) and x < m.stop:
         return 1.0
-    if -force > hold_level(x, -1.0, f) and x > -m.stop:
+    if -force > hold_level(x, -1.0, f, sticking(x, m)) and x > -m.stop:
         return -1.0
     return 0.0
 

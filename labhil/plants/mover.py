@@ -1,8 +1,10 @@
-"""One moving part with dry friction: an integrator that stops at every event, for any push.
+"""One moving part with dry friction: an integrator of fifth order that stops at every event, for any push.
 
-The push is a compiled function that is handed in: from position, velocity, an inner state, the input and
-the rig's numbers it gives the acceleration without friction and the rate of the inner state (a current, or
-nothing). Events, coming to rest, breaking away and meeting a stop, are located by bisection.
+The push is a compiled function of a rig: from the states, the input that acts and the rig's numbers it gives
+the force without friction, the dry friction beyond that of the general law and what is left of viscous
+friction, and the rates of the rig's own states. A part that moves feels the dry friction of its side, one
+at rest whatever keeps it there. Coming to rest, breaking away and meeting a stop are located by bisection on
+the step. Steps are those of Dormand and Prince, as long as their estimated error allows.
 """
 
 from __future__ import annotations
@@ -12,224 +14,292 @@ from collections.abc import Callable
 from types import FunctionType
 from typing import Any, NamedTuple
 
-import numba
+import numpy as np
 
+from labhil.compiled import compiled, specialised
 from labhil.plants.friction import (
     Friction,
-    bristle_force,
+    bristle_level,
     hold_level,
-    relax_bristles,
     resistance,
     side_of,
     viscous_force,
 )
 from labhil.signals import FloatArray
 
-X, V, INNER, SIDE, BRISTLE = range(5)
-STATE_SIZE = 5
-BISECTIONS = 48
-BRISTLE_STEP = 1e-4
+X, V, BRISTLE, LAG, SENSOR, INNER = range(6)
+"""Places of the states: position, velocity, bristles, the lags of the way in and of the sensor, the rig's."""
+SIDE, PACE = range(2)
+"""Places of the mode: the side towards which the part moves (0 at rest), and the next step's length, s."""
+STAGES = 7
+BISECTIONS = 50
 SLOWEST_BOUNCE = 1e-4
 """Speed (unit/s) below which a part that meets a stop stays there."""
+SHORTEST = 1e-13
+"""Step (s) below which no error is too large."""
+LEAST_DIP = 1e-9
+"""Step (s) below which a velocity that dips under zero and comes back is not looked for."""
+FLOOR = 1e-6
+"""Size (SI) of a state below which its errors count as those of one of this size."""
+LEAST_LEVEL = 1e-9
+"""Dry level under which bristles carry nothing."""
 
 
-Push = Callable[[float, float, float, float, Any], tuple[float, float]]
-
-Three = tuple[float, float, float]
-
-
-def push(x: float, v: float, i: float, u: float, m: Any) -> tuple[float, float]:
-    """Nothing pushes: the name under which :func:`mover_for` puts the push of a rig."""
-    return 0.0, 0.0
+TIMES = np.array([0.0, 1.0 / 5.0, 3.0 / 10.0, 4.0 / 5.0, 8.0 / 9.0, 1.0, 1.0])
+WEIGHTS = np.array(
+    [
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [1.0 / 5.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [3.0 / 40.0, 9.0 / 40.0, 0.0, 0.0, 0.0, 0.0],
+        [44.0 / 45.0, -56.0 / 15.0, 32.0 / 9.0, 0.0, 0.0, 0.0],
+        [19372.0 / 6561.0, -25360.0 / 2187.0, 64448.0 / 6561.0, -212.0 / 729.0, 0.0, 0.0],
+        [9017.0 / 3168.0, -355.0 / 33.0, 46732.0 / 5247.0, 49.0 / 176.0, -5103.0 / 18656.0, 0.0],
+        [35.0 / 384.0, 0.0, 500.0 / 1113.0, 125.0 / 192.0, -2187.0 / 6784.0, 11.0 / 84.0],
+    ]
+)
+ERROR = np.array(
+    [
+        71.0 / 57600.0, 0.0, -71.0 / 16695.0, 71.0 / 1920.0, -17253.0 / 339200.0, 22.0 / 525.0, -1.0 / 40.0,
+    ]
+)  # fmt: skip
+"""Dormand and Prince's pair of fifth and fourth order; the last stage stands at the step's end."""
 
 
 class Body(NamedTuple):
-    """Inertia, stops (infinite where there are none) with their restitution, and the longest step, s."""
+    """Inertia, stops (infinite where there are none) with their restitution, and the lags' time constants.
+
+    ``seen`` is the state that the sensor follows; a lag of 0 s is none. ``tolerance`` is the error of a step
+    over the size of the state.
+    """
 
     inertia: float
     low: float
     high: float
     restitution: float
-    longest: float
+    lag: float
+    sensor_lag: float
+    seen: int
+    tolerance: float
 
 
-def stride(s: Three, side: float, u: float, rise: float, h: float, b: Body, m: Any, f: Friction) -> Three:
-    """Position, velocity and inner state of a moving part h s later (classical Runge-Kutta)."""
-    x, v, i = s
-    half = 0.5 * h
-    a1, d1 = push(x, v, i, u, m)
-    a1 -= resistance(x, v, side, f) / b.inertia
-    x2, v2, i2 = x + half * v, v + half * a1, i + half * d1
-    a2, d2 = push(x2, v2, i2, u + half * rise, m)
-    a2 -= resistance(x2, v2, side, f) / b.inertia
-    x3, v3, i3 = x + half * v2, v + half * a2, i + half * d2
-    a3, d3 = push(x3, v3, i3, u + half * rise, m)
-    a3 -= resistance(x3, v3, side, f) / b.inertia
-    x4, v4, i4 = x + h * v3, v + h * a3, i + h * d3
-    a4, d4 = push(x4, v4, i4, u + h * rise, m)
-    a4 -= resistance(x4, v4, side, f) / b.inertia
-    return (
-        x + h * (v + 2.0 * (v2 + v3) + v4) / 6.0,
-        v + h * (a1 + 2.0 * (a2 + a3) + a4) / 6.0,
-        i + h * (d1 + 2.0 * (d2 + d3) + d4) / 6.0,
-    )
+class Work(NamedTuple):
+    """Room for the stages (7, n), a step's end and the largest sizes so far (n,)."""
+
+    stages: FloatArray
+    end: FloatArray
+    sizes: FloatArray
 
 
-def idle(s: Three, u: float, rise: float, h: float, m: Any) -> Three:
-    """A part that stands still: only its inner state goes on."""
-    x, _, i = s
-    half = 0.5 * h
-    d1 = push(x, 0.0, i, u, m)[1]
-    d2 = push(x, 0.0, i + half * d1, u + half * rise, m)[1]
-    d3 = push(x, 0.0, i + half * d2, u + half * rise, m)[1]
-    d4 = push(x, 0.0, i + h * d3, u + h * rise, m)[1]
-    return x, 0.0, i + h * (d1 + 2.0 * (d2 + d3) + d4) / 6.0
+def push(s: FloatArray, u: float, m: Any, rates: FloatArray) -> tuple[float, float, float]:
+    """Nothing pushes: the name under which :func:`mover_for` puts the push of a rig."""
+    return 0.0, 0.0, 1.0
 
 
-def breaks_away(s: Three, u: float, b: Body, m: Any, f: Friction) -> float:
+def remember(s: FloatArray, u: float, m: Any) -> None:
+    """Nothing is remembered: the name under which :func:`mover_for` puts what a rig keeps of its past."""
+
+
+@compiled
+def acting(s: FloatArray, u: float, b: Body) -> float:
+    """The input behind the lag of the way in."""
+    return float(s[LAG]) if b.lag > 0.0 else u
+
+
+@compiled
+def bristle_rate(z: float, x: float, v: float, more: float, f: Friction) -> float:
+    """How fast bristles bend, ż = v − (σ₀|v|/g)·z."""
+    level = bristle_level(x, v, f, more)
+    return v - f.stiffness * abs(v) / level * z if level > LEAST_LEVEL else 0.0
+
+
+def slopes(s: FloatArray, u: float, side: float, b: Body, m: Any, f: Friction, rates: FloatArray) -> None:
+    """Rates of all states (n,) of a part that moves towards ``side``, or rests (0)."""
+    force, more, thinned = push(s, acting(s, u, b), m, rates)
+    x, v = s[X], s[V]
+    rates[LAG] = (u - s[LAG]) / b.lag if b.lag > 0.0 else 0.0
+    rates[SENSOR] = (s[b.seen] - s[SENSOR]) / b.sensor_lag if b.sensor_lag > 0.0 else 0.0
+    rates[X], rates[V], rates[BRISTLE] = 0.0, 0.0, 0.0
+    if side == 0.0:
+        return
+    drag = (thinned - 1.0) * f.viscous * v
+    if f.stiffness > 0.0:
+        bending = bristle_rate(s[BRISTLE], x, v, more, f)
+        rates[BRISTLE] = bending
+        carried = f.stiffness * s[BRISTLE] + f.damping * bending
+        drag += viscous_force(v, f) + (carried if bristle_level(x, v, f, more) > LEAST_LEVEL else 0.0)
+    else:
+        drag += resistance(x, v, side, f, more)
+    rates[X], rates[V] = v, (force - drag) / b.inertia
+
+
+def leaves(s: FloatArray, u: float, b: Body, m: Any, f: Friction, rates: FloatArray) -> float:
     """The side towards which a part at rest is moved, 0 when it holds; stops hold too."""
-    x, _, i = s
-    force = push(x, 0.0, i, u, m)[0] * b.inertia
-    if force > hold_level(x, 1.0, f) and x < b.high:
+    force, more, _ = push(s, acting(s, u, b), m, rates)
+    x = s[X]
+    if f.stiffness > 0.0:
+        # bristles hold nothing by themselves: such a part is at rest on a stop only
+        force -= f.stiffness * s[BRISTLE]
+        held = (x >= b.high and force >= 0.0) or (x <= b.low and force <= 0.0)
+        return 0.0 if held else 1.0
+    if force > hold_level(x, 1.0, f, more) and x < b.high:
         return 1.0
-    if -force > hold_level(x, -1.0, f) and x > b.low:
+    if -force > hold_level(x, -1.0, f, more) and x > b.low:
         return -1.0
     return 0.0
 
 
-def rest(s: Three, u: float, rise: float, h: float, b: Body, m: Any, f: Friction) -> tuple[float, float]:
-    """How long (s, at most h) a part at rest stays, and to which side it then leaves (0: none)."""
-    at_once = breaks_away(s, u, b, m, f)
-    if at_once != 0.0:
-        return 0.0, at_once
-    side = breaks_away(idle(s, u, rise, h, m), u + h * rise, b, m, f)
+def attempt(
+    s: FloatArray, u: float, rise: float, h: float, side: float,
+    b: Body, m: Any, f: Friction, w: Work,
+) -> None:  # fmt: skip
+    """One step of h (s) from the states ``s`` to ``w.end``; the input starts at ``u``, slope ``rise``."""
+    k, end = w.stages, w.end
+    for stage in range(STAGES):
+        for j in range(s.size):
+            change = 0.0
+            for i in range(stage):
+                change += WEIGHTS[stage, i] * k[i, j]
+            end[j] = s[j] + h * change
+        slopes(end, u + TIMES[stage] * h * rise, side, b, m, f, k[stage])
+
+
+@compiled
+def error_of(h: float, b: Body, w: Work) -> float:
+    """Estimated error of the step of h (s) that has just been made to ``w.end``, over what is allowed."""
+    worst = 0.0
+    for j in range(w.end.size):
+        error = 0.0
+        for i in range(STAGES):
+            error += ERROR[i] * w.stages[i, j]
+        worst = max(worst, abs(h * error) / max(w.sizes[j], abs(w.end[j])))
+    return worst / b.tolerance
+
+
+def happened(
+    y: FloatArray, u: float, side: float, stops: bool, b: Body, m: Any, f: Friction, w: Work
+) -> bool:
+    """Whether a part at rest has left, or a moving one has turned back, or with ``stops`` met a stop."""
     if side == 0.0:
-        return h, 0.0
-    low, high = 0.0, h
-    for _ in range(BISECTIONS):
-        middle = 0.5 * (low + high)
-        if breaks_away(idle(s, u, rise, middle, m), u + middle * rise, b, m, f) != 0.0:
-            high = middle
-        else:
-            low = middle
-    return high, side
-
-
-def passed(s: Three, side: float, b: Body, stops: bool) -> bool:
-    """Whether a part that moved towards ``side`` has turned back, or with ``stops`` gone past a stop."""
+        return bool(leaves(y, u, b, m, f, w.stages[6]) != 0.0)
     if stops:
-        return s[0] > b.high if side > 0.0 else s[0] < b.low
-    return s[1] * side < 0.0
+        return bool(y[X] > b.high or y[X] < b.low)
+    return bool(y[V] * side < 0.0)
 
 
 def time_to(
-    s: Three, side: float, u: float, rise: float, h: float, stops: bool,
-    b: Body, m: Any, f: Friction,
+    s: FloatArray, u: float, rise: float, h: float, side: float, stops: bool,
+    b: Body, m: Any, f: Friction, w: Work,
 ) -> float:  # fmt: skip
-    """When within h (s) it has come to rest, or with ``stops`` has met the stop ahead."""
+    """When within h (s) that first happened; ``w.end`` is then the step's end there."""
     low, high = 0.0, h
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        if passed(stride(s, side, u, rise, middle, b, m, f), side, b, stops):
+        attempt(s, u, rise, middle, side, b, m, f, w)
+        if happened(w.end, u + middle * rise, side, stops, b, m, f, w):
             high = middle
         else:
             low = middle
-    return 0.5 * (low + high)
+    attempt(s, u, rise, high, side, b, m, f, w)
+    return high
 
 
-def step_of(s: Three, side: float, u: float, b: Body, m: Any, f: Friction) -> float:
-    """How long a step (s) may be: short against the time to cross the Stribeck velocity."""
-    if f.stribeck == 0.0:
-        return b.longest
-    x, v, i = s
-    pull = abs(push(x, v, i, u, m)[0] - resistance(x, v, side, f) / b.inertia)
-    return min(b.longest, 0.1 * (f.stribeck_velocity + abs(v)) / (pull + 1e-12))
+def dips(s: FloatArray, h: float, side: float, f: Friction, w: Work) -> bool:
+    """Whether the velocity may have passed zero and come back within the step of h (s)."""
+    if f.stiffness > 0.0 or side == 0.0:
+        return False
+    before, after = w.stages[0, V] * side, w.stages[6, V] * side
+    if before >= 0.0 or after <= 0.0 or h < LEAST_DIP:
+        return False
+    # a curve that bends upwards lies above the point where its first and last tangents meet
+    meet = (side * (w.end[V] - s[V]) - after * h) / (before - after)
+    return bool(side * s[V] + before * meet <= 0.0)
 
 
-def to_event(state: FloatArray, u: float, rise: float, h: float, b: Body, m: Any, f: Friction) -> float:
-    """Move a moving part on by at most h (s), up to its next event; return how long that took."""
-    s = (state[X], state[V], state[INNER])
-    side = state[SIDE]
-    there = stride(s, side, u, rise, h, b, m, f)
-    taken = h
-    if passed(there, side, b, False) or (there[1] == 0.0 and s[1] != 0.0):
-        if s[1] == 0.0:
-            # broken away by less than rounding: it rests for this step
-            state[INNER] = idle(s, u, rise, h, m)[2]
-            state[SIDE] = 0.0
-            return h
-        taken = time_to(s, side, u, rise, h, False, b, m, f)
-        there = stride(s, side, u, rise, taken, b, m, f)
-        if not passed(there, side, b, True):
-            state[X], state[V], state[INNER], state[SIDE] = there[0], 0.0, there[2], 0.0
-            return taken
-    if passed(there, side, b, True):
-        taken = time_to(s, side, u, rise, taken, True, b, m, f)
-        there = stride(s, side, u, rise, taken, b, m, f)
-        back = -b.restitution * there[1]
-        state[X] = b.high if side > 0.0 else b.low
-        state[V] = back if abs(back) > SLOWEST_BOUNCE else 0.0
-        state[INNER], state[SIDE] = there[2], side_of(state[V])
+def to_rest(mode: FloatArray, w: Work) -> None:
+    """The part has come to rest at ``w.end``."""
+    w.end[V] = 0.0
+    mode[SIDE] = 0.0
+
+
+def against_stop(mode: FloatArray, b: Body, f: Friction, w: Work) -> None:
+    """The part has met a stop at ``w.end``: it bounces, or stays there."""
+    ahead = 1.0 if w.end[X] > b.high else -1.0
+    w.end[X] = b.high if ahead > 0.0 else b.low
+    back = b.restitution * abs(w.end[V])
+    w.end[V] = -ahead * back if back > SLOWEST_BOUNCE else 0.0
+    mode[SIDE] = side_of(w.end[V]) if f.stiffness == 0.0 or w.end[V] == 0.0 else 1.0
+
+
+def to_event(
+    s: FloatArray, mode: FloatArray, u: float, rise: float, h: float, b: Body, m: Any, f: Friction, w: Work
+) -> float:
+    """See what happened in a step of h (s) that led to ``w.end``, and go back to it; how long that took."""
+    side, taken = mode[SIDE], h
+    if side == 0.0:
+        if happened(w.end, u + h * rise, side, False, b, m, f, w):
+            taken = time_to(s, u, rise, h, side, False, b, m, f, w)
+            mode[SIDE] = leaves(w.end, u + taken * rise, b, m, f, w.stages[6])
         return taken
-    state[X], state[V], state[INNER] = there
+    turns = f.stiffness == 0.0 and happened(w.end, u + h * rise, side, False, b, m, f, w)
+    if turns:
+        taken = time_to(s, u, rise, h, side, False, b, m, f, w)
+        if b.low <= w.end[X] <= b.high:
+            to_rest(mode, w)
+            return taken
+    if turns or happened(w.end, u + taken * rise, side, True, b, m, f, w):
+        taken = time_to(s, u, rise, taken, side, True, b, m, f, w)
+        against_stop(mode, b, f, w)
     return taken
 
 
-def on_bristles(state: FloatArray, u: float, rise: float, h: float, b: Body, m: Any, f: Friction) -> None:
-    """Move a part whose dry friction is carried by bristles (LuGre) over h (s)."""
-    # short against the bristles' own oscillation and damping, which a light part makes fast
-    longest = min(BRISTLE_STEP, 0.2 * math.sqrt(b.inertia / f.stiffness), b.longest)
-    if f.damping > 0.0:
-        longest = min(longest, 0.2 * b.inertia / f.damping)
-    steps = math.ceil(h / longest)
-    d = h / steps
-    x, v, i, z = state[X], state[V], state[INNER], state[BRISTLE]
-    for k in range(steps):
-        middle = u + (k + 0.5) * d * rise
-        z = relax_bristles(z, x, v, 0.5 * d, f)
-        a, di = push(x, v, i, middle, m)
-        a -= (bristle_force(z, x, v, f) + viscous_force(v, f)) / b.inertia
-        x_half, v_half, i_half = x + 0.5 * d * v, v + 0.5 * d * a, i + 0.5 * d * di
-        a, di = push(x_half, v_half, i_half, middle, m)
-        a -= (bristle_force(z, x_half, v_half, f) + viscous_force(v_half, f)) / b.inertia
-        x, v, i = x + d * (v + 0.5 * d * a), v + d * a, i + d * di
-        z = relax_bristles(z, x, v, 0.5 * d, f)
-        if (x > b.high and v > 0.0) or (x < b.low and v < 0.0):
-            x, v = min(max(x, b.low), b.high), -b.restitution * v
-    state[X], state[V], state[INNER], state[BRISTLE], state[SIDE] = x, v, i, z, side_of(v)
-
-
-def move(state: FloatArray, u: float, rise: float, h: float, b: Body, m: Any, f: Friction) -> None:
+def move(
+    s: FloatArray, mode: FloatArray, u: float, rise: float, h: float, b: Body, m: Any, f: Friction, w: Work
+) -> None:
     """Let h (s) pass in which the input goes straight from ``u`` with ``rise`` per second."""
-    if f.stiffness > 0.0:
-        on_bristles(state, u, rise, h, b, m, f)
-        return
     t = 0.0
-    while t < h * (1.0 - 1e-12):
+    while t < h and math.isfinite(s[V]):
         now = u + t * rise
-        left = min(h - t, b.longest)
-        s = (state[X], state[V], state[INNER])
-        if state[SIDE] == 0.0:
-            waited, side = rest(s, now, rise, left, b, m, f)
-            state[INNER] = idle(s, now, rise, waited, m)[2]
-            state[SIDE] = side
-            t += waited
-        else:
-            left = min(left, step_of(s, state[SIDE], now, b, m, f))
-            t += to_event(state, now, rise, left, b, m, f)
+        if mode[SIDE] == 0.0:
+            mode[SIDE] = leaves(s, now, b, m, f, w.stages[6])
+        step = min(mode[PACE], h - t)
+        attempt(s, now, rise, step, mode[SIDE], b, m, f, w)
+        error = error_of(step, b, w)
+        change = 0.2 if not error < 1e3 else min(0.9 * max(error, 1e-9) ** -0.2, 5.0)
+        if step > SHORTEST and (not error <= 1.0 or dips(s, step, mode[SIDE], f, w)):
+            mode[PACE] = step * min(change, 0.5)
+            continue
+        last = step == h - t
+        mode[PACE] = max(mode[PACE], step * change) if last else step * change
+        if not math.isfinite(w.end[V]):
+            s[V] = math.nan
+            return
+        moved = mode[SIDE] != 0.0
+        taken = to_event(s, mode, now, rise, step, b, m, f, w)
+        if moved and taken <= SHORTEST and taken < step:
+            # it came back at once: what moves it away is less than rounding, and it rests
+            mode[SIDE] = 0.0
+            attempt(s, now, rise, step, 0.0, b, m, f, w)
+            taken = step
+        for j in range(s.size):
+            s[j] = w.end[j]
+            w.sizes[j] = max(w.sizes[j], abs(s[j]))
+        remember(s, acting(s, now + taken * rise, b), m)
+        t = h if last and taken == step else t + taken
 
 
-PIECES = (stride, idle, breaks_away, rest, passed, time_to, step_of, to_event, on_bristles, move)
+PIECES = (
+    slopes, leaves, attempt, happened, time_to, dips, to_rest, against_stop, to_event, move,
+)  # fmt: skip
 
 
-def mover_for(push: Push) -> Callable[..., None]:
+def mover_for(push: Callable[..., Any], remember: Callable[..., Any]) -> Callable[..., None]:
     """:func:`move` compiled for this push.
 
     A compiled function that takes another one as an argument cannot be kept on disk, nor can what calls
     it; so the pieces are compiled once more for each rig, with its push under a global name.
     """
-    scope = {**globals(), "push": push}
+    scope = {**globals(), "push": push, "remember": remember}
     for piece in PIECES:
-        scope[piece.__name__] = numba.njit(nogil=True)(FunctionType(piece.__code__, scope, piece.__name__))
+        scope[piece.__name__] = specialised(FunctionType(piece.__code__, scope, piece.__name__))
     bound: Callable[..., None] = scope["move"]
     return bound

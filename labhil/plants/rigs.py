@@ -1,13 +1,15 @@
-"""Which plant belongs to which kind of rig."""
+"""Which plant belongs to which kind of rig, and what it can be made of."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Protocol
 
 from labhil.errors import UnknownNameError
 from labhil.plants.axis import AXIS, AxisPlant
+from labhil.plants.ball_beam_rig import BALL_BEAM, BallBeamRig
 from labhil.plants.dc_motor import MOTOR, DcMotorPlant
+from labhil.plants.effects import Effect
 from labhil.plants.solenoid import SOLENOID, SolenoidPlant
 from labhil.plants.trajectory import Trajectory
 from labhil.plants.world import World
@@ -17,18 +19,28 @@ from labhil.signals import FloatArray
 class Plant(Protocol):
     """A simulated rig with one input; begins at rest."""
 
+    def step(self, value: float, /) -> Mapping[str, float]:
+        """Let one sample period pass with this value of the input; return the signals at its end."""
+        ...
+
     def simulate(self, values: FloatArray, /) -> Trajectory:
         """Go on through the input's values (n,) at the samples; begins with now."""
         ...
 
 
-WORLDS: Mapping[str, World] = {"dc_motor": MOTOR, "axis": AXIS, "solenoid": SOLENOID}
-"""What the rigs that one input drives can be made of; ball and beam and arm have their own rooms."""
+WORLDS: Mapping[str, World] = {
+    "ball_beam": BALL_BEAM,
+    "dc_motor": MOTOR,
+    "solenoid": SOLENOID,
+    "axis": AXIS,
+}
+"""What the rigs that one input drives can be made of; the arm has a room of its own."""
 
-PLANTS: Mapping[str, type[DcMotorPlant] | type[AxisPlant] | type[SolenoidPlant]] = {
+PLANTS: Mapping[str, Callable[[Mapping[str, float] | None, Iterable[str], int, float], Plant]] = {
+    "ball_beam": BallBeamRig,
     "dc_motor": DcMotorPlant,
-    "axis": AxisPlant,
     "solenoid": SolenoidPlant,
+    "axis": AxisPlant,
 }
 
 
@@ -39,3 +51,10 @@ def plant_of(
     if kind not in PLANTS:
         raise UnknownNameError("plant", kind, PLANTS)
     return PLANTS[kind](parameters, terms, seed, period)
+
+
+def effects_of(kind: str, hidden: bool = False) -> Mapping[str, Effect]:
+    """Effects by name that a plant of that kind can have, or those in no list of names."""
+    if kind not in WORLDS:
+        raise UnknownNameError("plant", kind, WORLDS)
+    return WORLDS[kind].hidden if hidden else WORLDS[kind].effects

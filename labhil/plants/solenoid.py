@@ -9,19 +9,22 @@ from typing import NamedTuple
 import numpy as np
 
 from labhil.compiled import compiled
-from labhil.plants.driven import Drive, periods_for
+from labhil.plants.driven import Drive, kernel_for
 from labhil.plants.effects import Effect
 from labhil.plants.friction import Friction
-from labhil.plants.input_path import HISTORY, InputPath
-from labhil.plants.mover import STATE_SIZE, Body, V, X
-from labhil.plants.trajectory import Channel, Sensor, Trajectory
-from labhil.plants.world import FRICTION, WAY_IN, WAY_OUT, World, sized
-from labhil.signals import FloatArray
+from labhil.plants.input_path import InputPath
+from labhil.plants.mover import INNER, SENSOR, Body, V, Work, X
+from labhil.plants.trajectory import Channel, Stamps, Trajectory, sensed
+from labhil.plants.world import FRICTION, POSITIVE, SAMPLING, WAY_IN, WAY_OUT, World, sized
+from labhil.signals import FloatArray, IntArray
 
-SIGNALS = ("plunger_position", "coil_current", "magnetic_force")
+SIGNALS = ("plunger_position", "coil_current", "coil_voltage", "magnetic_force")
 STROKE = 0.005
-FIELD_PARTS = 8
-"""Into how many parts a sample period is cut while the field follows the current."""
+COPPER = 0.0039
+SMALL = 1e-10
+"""Error of one step over the size of a state; a hysteresis bends within steps."""
+TURNED, EDDY, WARMTH = INNER, INNER + 1, INNER + 2
+"""Places of the current at which the hysteresis stands, of the field's lag and of the coil's temperature."""
 
 SOLENOID = World(
     bare={
@@ -31,12 +34,18 @@ SOLENOID = World(
         "stop_high": STROKE,  # m
         "coil_resistance": 4.0,  # Ω
         "coil_inductance": 0.02,  # H
+        "loop_time": 0.001,  # s, by which the current is behind what is asked of the current loop
+        "heat_capacity": 30.0,  # J/K, of the coil
+        "heat_resistance": 5.0,  # K/W, from the coil to the air
+        "ambient": 25.0,  # °C, where the coil begins
+        "reference_temperature": 25.0,  # °C, at which the coil's resistance is what is said
         "plunger_position_noise": 1e-5,  # m
         "coil_current_noise": 0.0,  # A
+        "coil_voltage_noise": 0.0,  # V
         "magnetic_force_noise": 0.1,  # N
-        "noise_correlation": 0.0,  # of neighbouring samples
         "plunger_position_resolution": 0.0,  # m
-        "stamp_jitter": 0.0,  # s
+        "coil_current_resolution": 0.0,  # A
+        **SAMPLING,
     },
     effects={
         **sized(
@@ -50,11 +59,11 @@ SOLENOID = World(
                 "cubic_viscous_friction": {"coefficient": 100.0},
                 "friction_asymmetry": {"coefficient": 1.0, "level": 0.0},
                 "position_dependent_friction": {"slope": 100.0},
+                "load_dependent_friction": {"coefficient": 0.1},
+                "presliding_friction": {"stiffness": 2e5, "damping": 20.0},
             },
         ),
-        "presliding_friction": Effect(
-            "dry friction carried by bristles", {"stiffness": 2e5, "damping": 20.0}
-        ),
+        "constant_force": Effect("a constant push, N", {"force": 1.0}),
         "spring_preload": Effect("a spring that pushes already at rest, N", {"force": 2.0}),
         "spring_hardening": Effect("a spring that stiffens, N/m³", {"coefficient": 5e7}),
         "end_stop_contact": Effect("a plunger that bounces at its stops", {"restitution": 0.4}),
@@ -62,12 +71,22 @@ SOLENOID = World(
         "magnetic_hysteresis": Effect("a field that remembers where the current turned, A", {"width": 0.1}),
         "magnetic_saturation": Effect("iron that saturates, 1/A", {"coefficient": 0.05}),
         "residual_magnetism": Effect("a field that stays without current, A", {"current": 0.08}),
+        "motional_emf": Effect(
+            "a moving plunger induces a voltage: this share of (∂F/∂i)·v", {"share": 1.0}
+        ),
+        "thermal_resistance": Effect(
+            "a coil whose resistance rises with warmth, 1/K", {"coefficient": COPPER}
+        ),
+        "pwm_ripple": Effect(
+            "the amplifier's switching on current (A) and voltage (V), Hz",
+            {"current": 0.02, "voltage": 0.5, "frequency": 20013.0},
+        ),
         **sized(
             WAY_IN,
             {
                 "time_delay": {"delay": 0.002},
                 "dead_zone": {"left": 0.1, "right": 0.1},
-                "saturation": {"limit": 2.0},
+                "saturation": {"limit": 1.5},
                 "backlash": {"gap": 0.1},
                 "actuator_lag": {"time_constant": 0.003},
                 "rate_limit": {"rate": 20.0},
@@ -79,36 +98,78 @@ SOLENOID = World(
                 "sensor_offset": {"offset": 1e-4},
                 "sensor_nonlinearity": {"cubic": 2e3},
                 "sensor_lag": {"time_constant": 0.002},
+                "quantisation": {"step": 2e-5},
             },
         ),
     },
-    positive=frozenset(
-        {
-            "moving_mass", "spring_stiffness", "coil_resistance", "coil_inductance",
-            "stribeck_friction.velocity", "presliding_friction.stiffness", "saturation.limit",
-            "rate_limit.rate", "actuator_lag.time_constant", "sensor_lag.time_constant",
-            "hidden_latch.width",
-        }
-    ),
+    positive=POSITIVE
+    | {
+        "moving_mass", "spring_stiffness", "coil_resistance", "coil_inductance", "heat_capacity",
+        "heat_resistance", "hidden_latch.width", "hidden_sticky_patch.width",
+    },
     hidden={
         "hidden_latch": Effect("a latch at one place", {"pull": 3.0, "place": 0.002, "width": 3e-4}),
         "hidden_leak": Effect("oil that is pressed out near the far stop, N·s/m", {"damping": 20.0}),
+        "hidden_sticky_patch": Effect(
+            "a place in the guide that rubs harder", {"level": 3.0, "place": 0.0015, "width": 3e-4}
+        ),
     },
 )  # fmt: skip
 
 
 class Plunger(NamedTuple):
-    """Numbers of the plunger (SI)."""
+    """Numbers of the plunger, its magnet and its coil (SI)."""
 
-    mass: float
     spring: float
     hardening: float
-    preload: float
+    force: float
+    load_share: float
+    width: float
+    eddy: float
+    residual: float
+    knee: float
+    resistance: float
+    copper: float
+    capacity: float
+    to_air: float
+    ambient: float
+    reference: float
     latch: float
     latch_place: float
     latch_width: float
     leak: float
     high: float
+    patch: float
+    patch_place: float
+    patch_width: float
+
+    @classmethod
+    def of(cls, p: Mapping[str, float]) -> Plunger:
+        """Pick them out of a plant's parameters."""
+        return cls(
+            spring=p["spring_stiffness"],
+            hardening=p.get("spring_hardening.coefficient", 0.0),
+            force=p.get("constant_force.force", 0.0) - p.get("spring_preload.force", 0.0),
+            load_share=p.get("load_dependent_friction.coefficient", 0.0),
+            width=p.get("magnetic_hysteresis.width", 0.0),
+            eddy=p.get("eddy_current.time_constant", 0.0),
+            residual=p.get("residual_magnetism.current", 0.0),
+            knee=p.get("magnetic_saturation.coefficient", 0.0),
+            resistance=p["coil_resistance"],
+            copper=p.get("thermal_resistance.coefficient", 0.0),
+            capacity=p["heat_capacity"],
+            to_air=p["heat_resistance"],
+            ambient=p["ambient"],
+            reference=p["reference_temperature"],
+            latch=p.get("hidden_latch.pull", 0.0),
+            latch_place=p.get("hidden_latch.place", 0.0),
+            latch_width=p.get("hidden_latch.width", 1.0),
+            leak=p.get("hidden_leak.damping", 0.0),
+            high=p["stop_high"],
+            patch=p.get("hidden_sticky_patch.level", 0.0),
+            patch_place=p.get("hidden_sticky_patch.place", 0.0),
+            patch_width=p.get("hidden_sticky_patch.width", 1.0),
+        )
 
 
 @compiled
@@ -120,31 +181,74 @@ def magnet_force(i: float, x: float) -> float:
 
 
 @compiled
-def push(x: float, v: float, _: float, u: float, m: Plunger) -> tuple[float, float]:
-    """Acceleration without friction, m/s²; there is no inner state."""
-    force = magnet_force(u, x) - m.preload - x * (m.spring + m.hardening * x * x)
+def force_per_current(i: float, x: float) -> float:
+    """∂F/∂i of the magnet, N/A; what a moving plunger induces, V·s/m."""
+    y = x / STROKE
+    return 8.0 + 2.0 * y - 3.0 * y * y + i * (24.0 + 3.0 * y - 6.0 * i)
+
+
+@compiled
+def turned(before: float, u: float, width: float) -> float:
+    """The current that a magnet remembers which comes from ``before`` to ``u`` (A): a play of full width."""
+    return min(max(before, u - 0.5 * width), u + 0.5 * width)
+
+
+@compiled
+def field_of(s: FloatArray, u: float, m: Plunger) -> float:
+    """The current (A) that the field corresponds to."""
+    i = s[EDDY] if m.eddy > 0.0 else turned(s[TURNED], u, m.width)
+    i += m.residual
+    return i / (1.0 + m.knee * abs(i))
+
+
+@compiled
+def push(s: FloatArray, u: float, m: Plunger, rates: FloatArray) -> tuple[float, float, float]:
+    """Force without friction, further dry friction (N), and what is left of viscous friction."""
+    x, v = s[X], s[V]
+    rates[TURNED] = 0.0
+    rates[EDDY] = (turned(s[TURNED], u, m.width) - s[EDDY]) / m.eddy if m.eddy > 0.0 else 0.0
+    resistance = m.resistance * (1.0 + m.copper * (s[WARMTH] - m.reference))
+    rates[WARMTH] = (resistance * u * u - (s[WARMTH] - m.ambient) / m.to_air) / m.capacity
+    magnet = magnet_force(field_of(s, u, m), x)
+    force = magnet + m.force - x * (m.spring + m.hardening * x * x)
     if m.latch != 0.0:
         away = (x - m.latch_place) / m.latch_width
         force -= m.latch * away * math.exp(0.5 - 0.5 * away * away)
     if m.leak != 0.0:
         force -= m.leak * v * math.exp((x - m.high) / 5e-4)
-    return force / m.mass, 0.0
-
-
-period_of = periods_for(push)
+    rubs = m.load_share * abs(magnet)
+    if m.patch != 0.0:
+        away = (x - m.patch_place) / m.patch_width
+        rubs += m.patch * math.exp(-0.5 * away * away)
+    return force, rubs, 1.0
 
 
 @compiled
-def walk(
-    inputs: FloatArray, state: FloatArray, history: FloatArray, newest: int, memory: FloatArray,
-    moments: FloatArray, period: float, b: Body, m: Plunger, f: Friction, p: InputPath, out: FloatArray,
+def remember(s: FloatArray, u: float, m: Plunger) -> None:
+    """The magnet keeps where its current turned."""
+    s[TURNED] = turned(s[TURNED], u, m.width)
+
+
+run_plunger = kernel_for(push, remember)
+
+
+@compiled
+def run(
+    inputs: FloatArray, ends: FloatArray, clock: FloatArray, times: FloatArray, values: FloatArray,
+    count: IntArray, memory: FloatArray, held: bool, s: FloatArray, mode: FloatArray,
+    b: Body, m: Plunger, f: Friction, p: InputPath, w: Work, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Advance the plant by one period per field current; ``out`` (n, 3): x, v and the current that acts."""
-    for k in range(inputs.size):
-        newest += 1
-        history[newest % HISTORY] = inputs[k]
-        period_of(state, history, newest, memory, moments, period, False, b, m, f, p)
-        out[k, 0], out[k, 1], out[k, 2] = state[X], state[V], memory[-1]
+    """See :func:`labhil.plants.driven.run`."""
+    run_plunger(inputs, ends, clock, times, values, count, memory, held, s, mode, b, m, f, p, w, out)
+
+
+@compiled
+def magnet(rows: FloatArray, m: Plunger, out: FloatArray) -> None:
+    """Field current, force and ∂F/∂i (n, 3) at states and acting currents (n, states + 1)."""
+    for k in range(len(rows)):
+        i = field_of(rows[k], rows[k, -1], m)
+        out[k, 0], out[k, 1] = i, magnet_force(i, rows[k, X])
+        out[k, 2] = force_per_current(i, rows[k, X])
 
 
 class SolenoidPlant:
@@ -162,93 +266,73 @@ class SolenoidPlant:
         period: float = 0.001,
     ) -> None:
         self.terms = tuple(terms)
-        self.parameters = SOLENOID.resolve(self.terms, parameters or {})
+        self.parameters = p = SOLENOID.resolve(self.terms, parameters or {})
         self.period = period
-        self._random = np.random.default_rng(seed)
-        self._fine = period / FIELD_PARTS
-        self._drive = Drive(self.parameters, self._fine, held=False)
-        self._state = np.zeros(STATE_SIZE)
-        self._state[X] = self.parameters["stop_low"]
-        self._current, self._slope, self._eddy, self._play = 0.0, 0.0, 0.0, 0.0
-        self._friction = Friction.of(self.parameters)
-        p = self.parameters
-        self._sensor = Sensor(p, period, p["stop_low"])
-        self._channels = {name: Channel(p, name) for name in SIGNALS}
-        self._body = Body(
-            p["moving_mass"], p["stop_low"], p["stop_high"], p.get("end_stop_contact.restitution", 0.0), 2e-4
-        )
-        self._plunger = Plunger(
-            p["moving_mass"], p["spring_stiffness"], p.get("spring_hardening.coefficient", 0.0),
-            p.get("spring_preload.force", 0.0), p.get("hidden_latch.pull", 0.0),
-            p.get("hidden_latch.place", 0.0), p.get("hidden_latch.width", 1.0),
-            p.get("hidden_leak.damping", 0.0), p["stop_high"],
-        )  # fmt: skip
+        lag, sensor_lag = (p.get(f"{name}.time_constant", 0.0) for name in ("actuator_lag", "sensor_lag"))
+        bounces = p.get("end_stop_contact.restitution", 0.0)
+        body = Body(p["moving_mass"], p["stop_low"], p["stop_high"], bounces, lag, sensor_lag, X, SMALL)
+        self._plunger = Plunger.of(p)
+        stamps, inner = Stamps(p, period, seed), (0.0, 0.0, p["ambient"])
+        self.drive = Drive(p, run, self._plunger, body, stamps, False, p["stop_low"], inner)
+        step = p.get("quantisation.step", 0.0)
+        self._channels = {
+            name: Channel(p, name, seed, step * (name == "plunger_position")) for name in SIGNALS
+        }
+        self._now, self._slope = 0.0, 0.0
 
     def step(self, current: float) -> Mapping[str, float]:
         """Bring the current straight to ``current`` (A) in one sample period; the signals at its end."""
-        i = np.array([current])
-        slope = (i - self._current) / self.period
-        truth = self._walk(i)
-        seen = self._measure(truth, self._sensor.follow(truth[:, 0]), i, slope)
-        return {name: float(values[0]) for name, values in seen.items()}
+        before = self.drive.time
+        rows = self.drive.step(current)
+        taken = self.drive.time - before
+        slope = np.array([(current - self._now) / taken])
+        self._now, self._slope = current, float(slope[0])
+        seen = self._measure(rows, np.array([current]), slope, np.array([self.drive.time]))
+        return {name: float(x[0]) for name, x in seen.items()}
 
     def simulate(self, current: FloatArray) -> Trajectory:
-        """Go on through the currents (n,) at the samples, straight in between; begins with now."""
+        """Go on through the currents (n,) at the samples, straight in between; begins with now.
+
+        The trajectory's input is the current as it is measured.
+        """
         i = np.asarray(current, dtype=np.float64)
-        first = np.array([[self._state[X], self._state[V], self._drive.memory[-1]]])
-        slope = np.r_[self._slope, np.diff(i) / self.period]
-        shown = self._sensor.now
-        self._current = float(i[0])
-        moved = self._walk(i[1:])
-        truth, position = np.concatenate([first, moved]), np.r_[shown, self._sensor.follow(moved[:, 0])]
-        t = self.period * np.arange(len(i))
-        jitter = self.parameters["stamp_jitter"] * self._random.standard_normal(len(i))
-        names = ("plunger_position", "plunger_velocity", "field_current")
-        states = dict(zip(names, truth.T, strict=True))
-        return Trajectory(t + jitter, i, self._measure(truth, position, i, slope), states)
+        begin = self.drive.time
+        rows, t = self.drive.follow(i)
+        slope = np.append(self._slope, np.diff(i) / np.diff(t))
+        self._now, self._slope = float(i[-1]), float(slope[-1])
+        seen = self._measure(rows, i, slope, begin + t)
+        truth = {
+            "plunger_position": rows[:, X],
+            "plunger_velocity": rows[:, V],
+            "field_current": self._magnet(rows)[:, 0],
+            "coil_current": i,
+            "coil_temperature": rows[:, WARMTH],
+        }
+        return Trajectory(self.drive.stamps.seen(t), seen["coil_current"], seen, truth)
 
-    def _walk(self, currents: FloatArray) -> FloatArray:
-        """Let one sample period pass per current; x, v and the field's current that acts, (n, 3)."""
-        if not len(currents):
-            return np.empty((0, 3))
-        fine = np.interp(
-            np.arange(1, FIELD_PARTS * len(currents) + 1) / FIELD_PARTS,
-            np.arange(len(currents) + 1),
-            np.concatenate([[self._current], currents]),
-        )
-        field = self._field(fine)
-        out = np.empty((len(fine), 3))
-        drive = self._drive
-        walk(
-            field, self._state, drive.history, drive.newest, drive.memory, drive.moments, self._fine,
-            self._body, self._plunger, self._friction, drive.path, out,
-        )  # fmt: skip
-        drive.newest += len(fine)
-        before = currents[-2] if len(currents) > 1 else self._current
-        self._current, self._slope = float(currents[-1]), float(currents[-1] - before) / self.period
-        return out[FIELD_PARTS - 1 :: FIELD_PARTS]
-
-    def _field(self, current: FloatArray) -> FloatArray:
-        """The current (n,) that the field corresponds to."""
-        p = self.parameters
-        width = p.get("magnetic_hysteresis.width", 0.0)
-        lag = p.get("eddy_current.time_constant", 0.0)
-        decay = math.exp(-self._fine / lag) if lag else 0.0
-        field = np.empty_like(current)
-        for k, i in enumerate(current):
-            before = self._play
-            self._play = min(max(self._play, i - 0.5 * width), i + 0.5 * width)
-            trail = (self._play - before) / self._fine * lag
-            self._eddy = self._play - trail + (self._eddy - before + trail) * decay
-            field[k] = self._eddy
-        field += p.get("residual_magnetism.current", 0.0)
-        return np.asarray(field / (1.0 + p.get("magnetic_saturation.coefficient", 0.0) * np.abs(field)))
+    def _magnet(self, rows: FloatArray) -> FloatArray:
+        out = np.empty((len(rows), 3))
+        magnet(rows, self._plunger, out)
+        return out
 
     def _measure(
-        self, truth: FloatArray, position: FloatArray, i: FloatArray, slope: FloatArray
+        self, rows: FloatArray, i: FloatArray, slope: FloatArray, t: FloatArray
     ) -> dict[str, FloatArray]:
         p = self.parameters
-        force = np.array([magnet_force(float(a), float(x)) for x, _, a in truth])
-        true = {"plunger_position": position, "coil_current": i, "magnetic_force": force}
-        seen = {name: self._channels[name].sample(x, self._random) for name, x in true.items()}
-        return seen | {"coil_voltage": p["coil_resistance"] * i + p["coil_inductance"] * slope}
+        _, force, per_current = self._magnet(rows).T
+        warmth = rows[:, WARMTH] - p["reference_temperature"]
+        resistance = p["coil_resistance"] * (1.0 + p.get("thermal_resistance.coefficient", 0.0) * warmth)
+        induced = p.get("motional_emf.share", 0.0) * per_current * rows[:, V]
+        ripple = np.sin(2.0 * np.pi * p.get("pwm_ripple.frequency", 0.0) * t)
+        position = rows[:, SENSOR if "sensor_lag.time_constant" in p else X]
+        true = {
+            "plunger_position": sensed(position, p),
+            "coil_current": i + p.get("pwm_ripple.current", 0.0) * ripple,
+            "coil_voltage": resistance * i
+            + p["coil_inductance"] * slope
+            + induced
+            + p.get("pwm_ripple.voltage", 0.0) * ripple,
+            "magnetic_force": force,
+        }
+        seen = {name: self._channels[name].sample(x) for name, x in true.items()}
+        return seen | {"coil_current_command": i + p["loop_time"] * slope}

@@ -5,16 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from zlib import crc32
 
 import numpy as np
 from scipy.signal import lfilter
 
+from labhil.errors import UsageError
 from labhil.signals import FloatArray
+
+LARGEST_JITTER = 0.4
+"""Share of a period by which a sample is early or late at most."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """Samples at ``t`` (n,) s with the command ``input`` (n,) in effect there.
+    """Samples at ``t`` (n,) s with the recorded ``input`` (n,) in effect there.
 
     ``measured`` holds the contract's signals by name, ``truth`` the undisturbed states; each (n,), SI.
     """
@@ -25,62 +30,81 @@ class Trajectory:
     truth: Mapping[str, FloatArray]
 
 
-class Channel:
-    """How one quantity is sampled: noise (standard deviation, AR(1) correlation) and resolution, SI.
+def generator(seed: int, what: str) -> np.random.Generator:
+    """Random numbers for one purpose, the same whatever else is drawn."""
+    return np.random.default_rng([seed, crc32(what.encode())])
 
-    Coloured noise goes on from one call to the next.
+
+class Stamps:
+    """When samples are taken and commands take effect, and what stamps say of it.
+
+    ``stamp_jitter`` (s) is the standard deviation of both from an even beat, which the stamps tell;
+    ``stamp_error`` (s) that of the stamps from the truth.
     """
 
-    def __init__(self, values: Mapping[str, float], name: str) -> None:
-        self.noise = values[f"{name}_noise"]
-        self.correlation = values["noise_correlation"]
-        self.resolution = values.get(f"{name}_resolution", 0.0)
+    def __init__(self, values: Mapping[str, float], period: float, seed: int) -> None:
+        if not 0.0 < period < math.inf:
+            raise UsageError(f"the period must be a positive number of seconds, found {period:g}")
+        self.period = period
+        self._jitter, self._error = values["stamp_jitter"], values["stamp_error"]
+        self._late, self._lies = generator(seed, "stamp_jitter"), generator(seed, "stamp_error")
+        self._beat = 0
+
+    def ends(self, now: float, n: int) -> FloatArray:
+        """Ends (n,) of the next sample periods, s."""
+        beats = self._beat + np.arange(1, n + 1)
+        self._beat += n
+        if not self._jitter:
+            return np.asarray(self.period * beats)
+        late = self._jitter * self._late.standard_normal(n)
+        return np.asarray(
+            self.period * beats + np.clip(late, -LARGEST_JITTER * self.period, LARGEST_JITTER * self.period)
+        )
+
+    def seen(self, t: FloatArray) -> FloatArray:
+        """What stamps say of the true times ``t`` (n,)."""
+        return t + self._error * self._lies.standard_normal(len(t)) if self._error else t
+
+
+class Noise:
+    """Noise of unit variance and a correlation between neighbours (AR(1)) that goes on from call to call."""
+
+    def __init__(self, random: np.random.Generator, correlation: float) -> None:
+        self._random, self._share = random, correlation
         self._last: float | None = None
 
-    def sample(self, x: FloatArray, random: np.random.Generator) -> FloatArray:
-        """Samples (n,) of the true values ``x`` (n,)."""
-        noise = random.standard_normal(len(x))
-        share = self.correlation
-        if share and len(x):
+    def draw(self, n: int) -> FloatArray:
+        """The next n samples."""
+        noise = self._random.standard_normal(n)
+        if self._share and n:
             # the very first sample has no one before it, and is as large as the others
-            noise[0 if self._last is not None else 1 :] *= math.sqrt(1.0 - share**2)
-            noise = np.asarray(lfilter([1.0], [1.0, -share], noise, zi=[share * (self._last or 0.0)])[0])
+            noise[0 if self._last is not None else 1 :] *= math.sqrt(1.0 - self._share**2)
+            before = [self._share * (self._last or 0.0)]
+            noise = np.asarray(lfilter([1.0], [1.0, -self._share], noise, zi=before)[0])
             self._last = float(noise[-1])
-        seen = x + self.noise * noise
+        return noise
+
+
+class Channel:
+    """How one quantity is sampled: noise (standard deviation) and resolution, SI."""
+
+    def __init__(self, values: Mapping[str, float], name: str, seed: int, resolution: float = 0.0) -> None:
+        self.noise = values[f"{name}_noise"]
+        self.resolution = resolution or values.get(f"{name}_resolution", 0.0)
+        self._source = Noise(generator(seed, name), values["noise_correlation"])
+
+    def sample(self, x: FloatArray) -> FloatArray:
+        """Samples (n,) of the true values ``x`` (n,)."""
+        seen = x + self.noise * self._source.draw(len(x))
         return np.rint(seen / self.resolution) * self.resolution if self.resolution else seen
 
 
-class Sensor:
-    """A sensor with lag, nonlinearity, gain error and offset; it begins settled at ``start``.
+def sensed(x: FloatArray, values: Mapping[str, float], channel: str = "") -> FloatArray:
+    """What a sensor with nonlinearity, gain error and offset makes of ``x`` (n,), lagged already.
 
-    ``period`` is the time (s) between samples; the quantity goes straight from each to the next.
+    A second ``channel`` (with "_" at its end) has a gain error and an offset of its own.
     """
-
-    def __init__(self, values: Mapping[str, float], period: float, start: float) -> None:
-        self._lag = values.get("sensor_lag.time_constant", 0.0) / period
-        self._cubic = values.get("sensor_nonlinearity.cubic", 0.0)
-        self._gain = 1.0 + values.get("sensor_gain.gain", 0.0)
-        self._offset = values.get("sensor_offset.offset", 0.0)
-        self._before = self._lagged = start
-
-    @property
-    def now(self) -> float:
-        """What it shows at the last value that it has followed."""
-        return float(self._shown(np.array([self._lagged]))[0])
-
-    def follow(self, x: FloatArray) -> FloatArray:
-        """Go on through the next values ``x`` (n,); what it shows at each, (n,)."""
-        if not len(x):
-            return x
-        lagged = x
-        if self._lag > 0.0:
-            decay = math.exp(-1.0 / self._lag)
-            earlier = np.r_[self._before, x[:-1]]
-            trail = (x - earlier) * self._lag
-            driven = x - trail - decay * (earlier - trail)
-            lagged = np.asarray(lfilter([1.0], [1.0, -decay], driven, zi=[decay * self._lagged])[0])
-        self._before, self._lagged = float(x[-1]), float(lagged[-1])
-        return self._shown(lagged)
-
-    def _shown(self, x: FloatArray) -> FloatArray:
-        return np.asarray(self._gain * (x + self._cubic * x**3) + self._offset)
+    if not channel:
+        x = x + values.get("sensor_nonlinearity.cubic", 0.0) * x**3
+    gain = 1.0 + values.get(f"sensor_gain.{channel}gain", 0.0)
+    return np.asarray(gain * x + values.get(f"sensor_offset.{channel}offset", 0.0))

@@ -10,8 +10,8 @@ from labhil.errors import UnknownNameError, UsageError
 from labhil.plants.effects import Effect
 
 NOT_NEGATIVE = (
-    "_noise", "_resolution", "_jitter", "warming", ".delay", ".gap", ".left", ".right", ".damping",
-    ".time_constant", "magnetic_hysteresis.width",
+    "_noise", "_resolution", "stamp_jitter", "stamp_error", "warming", "cooling", ".delay", ".gap", ".left",
+    ".right", ".damping", ".time_constant", ".compliance", "quantisation.step", "magnetic_hysteresis.width",
 )  # fmt: skip
 """Endings of the names of sizes that may be zero and never less."""
 
@@ -90,6 +90,21 @@ class World:
             raise UsageError(f"{name} must {kind}, found {value:g}")
 
 
+SAMPLING: Mapping[str, float] = {
+    "noise_correlation": 0.0,  # of neighbouring samples, every channel's
+    "stamp_jitter": 0.0,  # s, standard deviation of samples and commands beside their beat; stamps tell it
+    "stamp_error": 0.0,  # s, standard deviation of stamps beside the samples' true times
+}
+"""What every recording may suffer from."""
+
+POSITIVE = frozenset(
+    {
+        "stribeck_friction.velocity", "presliding_friction.stiffness", "saturation.limit", "rate_limit.rate",
+        "actuator_lag.time_constant", "sensor_lag.time_constant",
+    }
+)  # fmt: skip
+"""Parameters of the effects below that must be larger than zero."""
+
 FRICTION: Mapping[str, Effect] = {
     "viscous_friction": Effect("resistance c·v", {"coefficient": 1.0}),
     "coulomb_friction": Effect("dry friction of constant level", {"level": 1.0}),
@@ -104,6 +119,12 @@ FRICTION: Mapping[str, Effect] = {
         {"coefficient": 1.0, "level": 0.0},
     ),
     "position_dependent_friction": Effect("dry friction that grows along the way", {"slope": 1.0}),
+    "load_dependent_friction": Effect(
+        "dry friction that grows with the size of the drive's force", {"coefficient": 0.05}
+    ),
+    "presliding_friction": Effect(
+        "dry friction carried by bristles (LuGre)", {"stiffness": 1.0, "damping": 1.0}
+    ),
 }
 """Friction laws that every moving part may have; each rig sets its own sizes."""
 
@@ -122,6 +143,7 @@ WAY_OUT: Mapping[str, Effect] = {
     "sensor_offset": Effect("measured = x + offset", {"offset": 0.01}),
     "sensor_nonlinearity": Effect("measured = x + c·x³", {"cubic": 0.01}),
     "sensor_lag": Effect("the sensor follows with a first-order lag, s", {"time_constant": 0.02}),
+    "quantisation": Effect("a sensor that counts in steps", {"step": 0.01}),
 }
 """Effects between the first measured quantity and its samples."""
 

@@ -1,0 +1,81 @@
+"""The ball and beam in the manner of the other rigs: signals by name, coloured noise, uneven samples."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from labhil.errors import UsageError
+from labhil.plants.ball_beam import SAMPLE_PERIOD, BallBeamPlant
+from labhil.plants.effects import BARE_RIG, EFFECTS, HIDDEN, POSITIVE
+from labhil.plants.trajectory import Noise, Stamps, Trajectory, generator
+from labhil.plants.world import SAMPLING, World
+from labhil.signals import FloatArray
+
+BALL_BEAM = World({**BARE_RIG, **SAMPLING}, EFFECTS, frozenset(POSITIVE), HIDDEN)
+
+
+class BallBeamRig:
+    """A :class:`BallBeamPlant` that tells contract signals; servo angle in (rad), straight between samples.
+
+    Takes the plant's parameters and those of ``SAMPLING``. Begins level, at rest at ``start_position``.
+    """
+
+    def __init__(
+        self,
+        parameters: Mapping[str, float] | None = None,
+        terms: Iterable[str] = (),
+        seed: int = 0,
+        period: float = SAMPLE_PERIOD,
+    ) -> None:
+        self.terms = tuple(terms)
+        self.parameters = p = BALL_BEAM.resolve(self.terms, parameters or {})
+        self.period = period
+        self.stamps = Stamps(p, period, seed)
+        own = {name: value for name, value in (parameters or {}).items() if name not in SAMPLING}
+        self.plant = BallBeamPlant(own, self.terms, seed, period)
+        self.plant.noise = Noise(generator(seed, "ball_position"), p["noise_correlation"]).draw
+        self._uneven = p["stamp_jitter"] > 0.0
+        if self._uneven and p.get("time_delay.delay", 0.0):
+            raise UsageError("a ball and beam with time_delay takes no stamp_jitter: it counts samples")
+        self._time = 0.0
+
+    def step(self, angle: float) -> Mapping[str, float]:
+        """Turn straight to ``angle`` (rad) in one sample period; the signals at its end."""
+        self._beat()
+        return {"ball_position": self._position(np.array([self.plant.step(angle)]))[0]}
+
+    def simulate(self, angle: FloatArray) -> Trajectory:
+        """Go on through the angles (n,) at the samples, straight in between; begins with now.
+
+        A first angle that differs from the present one starts the way in afresh, settled there.
+        """
+        u = np.asarray(angle, dtype=np.float64)
+        if not len(u) or not np.all(np.isfinite(u)):
+            raise UsageError("a simulation needs one finite value of its input at least, and no others")
+        if self._uneven:
+            return self._uneven_run(u)
+        run = self.plant.simulate(u)
+        self._time = float(self.stamps.ends(self._time, len(u) - 1)[-1]) if len(u) > 1 else self._time
+        truth = {"ball_position": run.position, "ball_velocity": run.velocity}
+        return Trajectory(self.stamps.seen(run.t), u, {"ball_position": run.measured}, truth)
+
+    def _uneven_run(self, u: FloatArray) -> Trajectory:
+        begin, plant = self._time, self.plant
+        first = plant.simulate(u[:1])
+        rows = [(0.0, first.measured[0], first.position[0], first.velocity[0])]
+        for angle in u[1:]:
+            self._beat()
+            seen = self._position(np.array([plant.step(float(angle))]))[0]
+            rows.append((self._time - begin, seen, plant.position, plant.velocity))
+        t, seen, x, v = np.array(rows).T
+        truth = {"ball_position": x, "ball_velocity": v}
+        return Trajectory(self.stamps.seen(t), u, {"ball_position": seen}, truth)
+
+    def _beat(self) -> None:
+        end = float(self.stamps.ends(self._time, 1)[0])
+        self.plant.period, self._time = end - self._time, end
+
+    def _position(self, counts: FloatArray) -> FloatArray:
+        return self.plant.sensor.position(np.asarray(counts, dtype=np.int64))

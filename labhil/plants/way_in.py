@@ -1,0 +1,122 @@
+"""The way of a command to what it drives, exact at every bend: delay, backlash, dead zone, saturation, rate.
+
+Commands are knots, held or joined by straight lines; so is what becomes of them, up to the next bend. Each
+stage answers with the value now, its slope, and for how long that slope lasts. A lag comes behind all of
+them; it is one of the states that the integrator solves.
+"""
+
+from __future__ import annotations
+
+import math
+
+from labhil.compiled import compiled
+from labhil.plants.input_path import InputPath
+from labhil.signals import FloatArray, IntArray
+
+HISTORY = 1024
+"""How many past commands are remembered for the delay."""
+NEWEST, CURRENT = range(2)
+"""Places of the counters: of the newest command, and of the one in effect."""
+PLAY, LIMITED = range(2)
+"""Places of what the way in remembers: where the play stands, and where the rate limit."""
+ENOUGH = 1e-9
+"""Share of a width within which a part of a play counts as touching."""
+
+Course = tuple[float, float, float]
+"""A value now, its slope per second, and how long (s) the slope lasts."""
+
+
+@compiled
+def add(times: FloatArray, values: FloatArray, count: IntArray, t: float, value: float) -> None:
+    """Remember a command of ``value`` at t (s)."""
+    count[NEWEST] += 1
+    times[count[NEWEST] % HISTORY] = t
+    values[count[NEWEST] % HISTORY] = value
+
+
+@compiled
+def command(
+    times: FloatArray, values: FloatArray, count: IntArray, t: float, delay: float, near: float, held: bool
+) -> Course:
+    """The command in effect at t (s) after its delay; knots within ``near`` (s) ahead count as reached."""
+    while count[CURRENT] < count[NEWEST] and times[(count[CURRENT] + 1) % HISTORY] + delay <= t + near:
+        count[CURRENT] += 1
+    here = count[CURRENT] % HISTORY
+    if count[CURRENT] == count[NEWEST]:
+        return values[here], 0.0, math.inf
+    ahead = (count[CURRENT] + 1) % HISTORY
+    left = times[ahead] + delay - t
+    if held or times[ahead] == times[here]:
+        return values[here], 0.0, left
+    if t - delay < times[here]:
+        return values[here], 0.0, times[here] + delay - t
+    slope = (values[ahead] - values[here]) / (times[ahead] - times[here])
+    return values[ahead] - slope * left, slope, left
+
+
+@compiled
+def behind_play(memory: FloatArray, course: Course, gap: float) -> Course:
+    """What a play of full width ``gap`` lets through; ``memory`` keeps where it stands."""
+    value, slope, left = course
+    half = 0.5 * gap
+    memory[PLAY] = min(max(memory[PLAY], value - half), value + half)
+    if gap == 0.0 or slope == 0.0:
+        return memory[PLAY], slope if gap == 0.0 else 0.0, left
+    room = memory[PLAY] - value + half if slope > 0.0 else value + half - memory[PLAY]
+    if room <= ENOUGH * gap:
+        return memory[PLAY], slope, left
+    return memory[PLAY], 0.0, min(left, room / abs(slope))
+
+
+@compiled
+def behind_dead_zone(course: Course, low: float, high: float) -> Course:
+    """What is left of a command outside ``low`` … ``high`` (eq. 4.18 of the reference text)."""
+    value, slope, left = course
+    if value > high or (value == high and slope > 0.0):
+        return value - high, slope, min(left, (value - high) / -slope) if slope < 0.0 else left
+    if value < low or (value == low and slope < 0.0):
+        return value - low, slope, min(left, (low - value) / slope) if slope > 0.0 else left
+    if slope > 0.0:
+        left = min(left, (high - value) / slope)
+    elif slope < 0.0:
+        left = min(left, (low - value) / slope)
+    return 0.0, 0.0, left
+
+
+@compiled
+def clipped(course: Course, limit: float) -> Course:
+    """A command that goes no further than ± ``limit``."""
+    value, slope, left = course
+    side = 1.0 if value > 0.0 else -1.0
+    if abs(value) > limit or (abs(value) == limit and slope * side > 0.0):
+        returns = (abs(value) - limit) / abs(slope) if slope * side < 0.0 else math.inf
+        return side * limit, 0.0, min(left, returns)
+    if slope != 0.0:
+        edge = limit if slope > 0.0 else -limit
+        left = min(left, (edge - value) / slope)
+    return value, slope, left
+
+
+@compiled
+def rate_limited(memory: FloatArray, course: Course, rate: float) -> Course:
+    """A command that changes no faster than ``rate`` per second; ``memory`` keeps where it stands."""
+    value, slope, left = course
+    if rate == math.inf:
+        memory[LIMITED] = value
+        return course
+    behind = value - memory[LIMITED]
+    if abs(behind) <= ENOUGH * rate * min(left, 1.0):
+        memory[LIMITED] = value
+        return value, min(max(slope, -rate), rate), left
+    side = 1.0 if behind > 0.0 else -1.0
+    closing = rate - side * slope
+    return memory[LIMITED], side * rate, min(left, abs(behind) / closing) if closing > 0.0 else left
+
+
+@compiled
+def through(memory: FloatArray, course: Course, p: InputPath) -> Course:
+    """A delayed command behind everything that has no state of its own."""
+    course = behind_play(memory, course, p.gap)
+    course = behind_dead_zone(course, -p.left, p.right)
+    course = clipped(course, p.limit)
+    return rate_limited(memory, course, p.rate)
