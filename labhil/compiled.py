@@ -23,4 +23,7 @@ def specialised(function: Function) -> Function:
 
     Such a function cannot be found again on disk; the kernel that calls it can, and has it inside.
     """
-    return cast(Function, numba.njit(fastmath=False, nogil=True)(function))
+    return cast(
+        Function,
+        numba.njit(fastmath=False, nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)(function),
+    )

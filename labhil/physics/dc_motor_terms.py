@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.signal import lfilter
 
 from labhil.physics.friction_terms import friction_terms, load_dependent_friction
 from labhil.physics.model import Record
@@ -23,6 +24,9 @@ TYPICAL_SPEED = 3.0
 TYPICAL_VOLTAGE = 5.0
 TYPICAL_TIME_CONSTANT = 1.0
 
+LARGEST_CONSTANT = 1.5
+"""Times RMS voltage over RMS speed: no back-EMF is larger than the voltage for long."""
+
 FEWEST_BLOCKS = 12
 """In motion, for a regression to mean anything."""
 
@@ -31,8 +35,9 @@ class Sizes:
     """What a recording says of the motor's size before anything is fitted (SI).
 
     Short blocks in motion are integrated, so that no derivative of a noisy signal is needed. With speed and
-    current both balances, of voltages and of torques, are solved by linear least squares; with one of them
-    a first order, ω̇ = (g·U − ω)/τ − d·sgn ω, gives back-EMF and inertia for a typical current.
+    current both balances, of voltages and of torques, are solved by linear least squares; with speed alone
+    a first order, ω̇ = (g·U_lagged − ω)/τ − d·sgn ω, gives back-EMF, inertia and inductance for a typical
+    current, the lag of U being the one that fits best.
     """
 
     def __init__(self, record: Record | None) -> None:
@@ -57,20 +62,28 @@ class Sizes:
         self.inertia = self.inertia or self.time_constant * self.constant**2 / self.resistance
 
     def _first_order(self, blocks: Blocks) -> None:
-        found = blocks.solve(blocks.rise(blocks.w), blocks.volts, blocks.turned, blocks.rubbed)
-        if found is not None and found[1] < 0.0 < found[0]:
-            self.time_constant = float(np.clip(-1.0 / found[1], 1e-3, 100.0))
-            self.constant = float(max(-found[1] / found[0], 1e-9))
+        smallest = np.inf
+        for lag in blocks.lags:
+            factors, error = blocks.solve(
+                blocks.rise(blocks.w), blocks.lagged_volts(lag), blocks.turned, blocks.rubbed
+            )
+            if error < smallest and factors[1] < 0.0 < factors[0]:
+                smallest, self.inductance = error, lag * self.resistance
+                self.time_constant = float(np.clip(-1.0 / factors[1], 1e-3, 100.0))
+                largest = LARGEST_CONSTANT * self.voltage / self.speed
+                self.constant = float(np.clip(-factors[1] / factors[0], 1e-2 * largest, largest))
 
     def _both_balances(self, blocks: Blocks, i: FloatArray) -> None:
         """∫U = R·∫i + L·Δi + K·∫ω, then K·∫i = J·Δω + c·∫ω + T·∫sgn ω."""
         charge = blocks.integral(i)
-        electrical = blocks.solve(blocks.volts, charge, blocks.rise(i), blocks.turned)
-        if electrical is None or min(electrical) <= 0.0:
+        electrical, error = blocks.solve(blocks.volts, charge, blocks.rise(i), blocks.turned)
+        if not np.isfinite(error) or min(electrical) <= 0.0:
             return
         self.resistance, self.inductance, self.constant = (float(x) for x in electrical)
-        torque = blocks.solve(self.constant * charge, blocks.rise(blocks.w), blocks.turned, blocks.rubbed)
-        if torque is not None and torque[0] > 0.0:
+        torque, error = blocks.solve(
+            self.constant * charge, blocks.rise(blocks.w), blocks.turned, blocks.rubbed
+        )
+        if np.isfinite(error) and torque[0] > 0.0:
             self.inertia = float(torque[0])
             damping = max(float(torque[1]), 0.0) + self.constant**2 / self.resistance
             self.time_constant = float(np.clip(self.inertia / damping, 1e-3, 100.0))
@@ -85,13 +98,30 @@ class Blocks:
     """Integrals of held voltage, speed and its sign over short blocks in which the shaft turns."""
 
     def __init__(self, t: FloatArray, u: FloatArray, w: FloatArray) -> None:
-        self.w = w
-        self._edges = np.arange(0, len(t), max(4, len(t) // 600))
+        self.w, self._u = w, u
+        self._edges = np.arange(0, len(t), max(4, len(t) // 200))
         self._h = np.diff(t)
+        self._period = float(np.median(self._h))
         slow = 0.05 * float(np.abs(w).max())
         self._moving = np.minimum.reduceat(np.abs(w), self._edges)[:-1] > slow
         self.volts = self._over(self._h * u[:-1])
         self.turned, self.rubbed = self.integral(w), self.integral(np.sign(w))
+
+    @property
+    def lags(self) -> FloatArray:
+        """Electrical time constants worth trying, s."""
+        return np.r_[0.0, self._period * np.geomspace(0.3, 30.0, 11)]
+
+    def lagged_volts(self, lag: float) -> FloatArray:
+        """Integrals of the held voltage behind a first-order lag (s) that begins settled."""
+        if lag <= 0.0:
+            return self.volts
+        share = 1.0 - np.exp(-self._period / lag)
+        behind = np.r_[
+            self._u[0], lfilter([share], [1.0, share - 1.0], self._u[:-1] - self._u[0]) + self._u[0]
+        ]
+        # what is lost on the way, ∫(u − y), is the lag times the rise of y
+        return self.volts - lag * self.rise(behind)
 
     def integral(self, x: FloatArray) -> FloatArray:
         """Over each block."""
@@ -104,11 +134,13 @@ class Blocks:
     def _over(self, pieces: FloatArray) -> FloatArray:
         return np.diff(np.r_[0.0, np.cumsum(pieces)][self._edges])[self._moving]
 
-    def solve(self, y: FloatArray, *columns: FloatArray) -> FloatArray | None:
-        """Least-squares factors of ``columns`` in ``y``; None where too little moves."""
+    def solve(self, y: FloatArray, *columns: FloatArray) -> tuple[FloatArray, float]:
+        """Least-squares factors of ``columns`` in ``y``, and their error, infinite where too little moves."""
         if np.count_nonzero(self._moving) < FEWEST_BLOCKS:
-            return None
-        return np.asarray(np.linalg.lstsq(np.column_stack(columns), y, rcond=None)[0])
+            return np.zeros(len(columns)), np.inf
+        design = np.column_stack(columns)
+        factors = np.asarray(np.linalg.lstsq(design, y, rcond=None)[0])
+        return factors, float(np.sum((y - design @ factors) ** 2))
 
 
 def _rms(x: FloatArray) -> float:

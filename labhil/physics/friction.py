@@ -46,7 +46,7 @@ PURE = {
 NARROW = 30.0
 """Stribeck velocities beyond which nothing is left of the Stribeck level."""
 
-RESOLVED = 0.35
+RESOLVED = 0.3
 """Share of a time constant, or of the width of a Stribeck peak, that one step may pass."""
 
 

@@ -148,11 +148,10 @@ def longest(
     """The longest step, s: short against the swing on the spring, the Stribeck peak and the cogging."""
     if side == 0.0:
         return np.inf
-    swing = SHARE_OF_SWING / np.sqrt(stiffness(u, s.x, p) + TINY)
-    size = min(swing, max(pace(s.v, pull(s, side, u, p), p.law), finest))
+    size = min(SHARE_OF_SWING / np.sqrt(stiffness(u, s.x, p) + TINY), pace(s.v, pull(s, side, u, p), p.law))
     if p.part.cogging_sine != 0.0 or p.part.cogging_cosine != 0.0:
         size = min(size, RESOLVED / (abs(p.part.cogging_order * s.v) + TINY))
-    return size
+    return max(size, finest)
 
 
 run = integrator(Laws(pull, target, follow, settled, grip, longest, at))
@@ -198,7 +197,8 @@ def simulate(
     first[w] … last[w] − 1 and begins with states[w] = (x, v).
     """
     begun = np.zeros((first.size, 3))
-    begun[:, :2] = states
+    for w in range(first.size):
+        begun[w, 0], begun[w, 1] = states[w, 0], states[w, 1]
     slider = Slider(p, table_of(c), law_of(f))
     stops = Stops(p.low, p.high, p.restitution)
     course = Course(viscous_change, slider)

@@ -33,7 +33,7 @@ AT_ONCE = 1e6
 """Rate times the length of a stretch above which the following quantity is simply there."""
 
 FINEST = 0.02
-"""Shortest step that friction may ask for, as a share of the sampling period."""
+"""Shortest step that any law but a following quantity may ask for, as a share of the sampling period."""
 
 NOT_ONE_END = 0.01
 """Share of a bracket that is cut off at least, or one of its ends would never move."""
@@ -91,7 +91,7 @@ class Laws(NamedTuple, Generic[Part, Course]):
 
     pace: Callable[[Motion, float, float, float, float, Follows, float, Part], float]
     """(state, side, u, its rise per second, time since the input last bent, how a follows, finest, part) to
-    the longest step, s; ``finest`` is what friction may ask for at most."""
+    the longest step, s; ``finest`` is the least that friction may ask for."""
 
     at: Callable[[Part, Course, int], Part]
     """(part, what changes along the recording, k) to the part as it is between samples k and k + 1."""
@@ -378,12 +378,12 @@ def integrator(laws: Laws[Part, Course]) -> Run[Part, Course]:
             now = t[first[w]]
             node = np.searchsorted(node_t, now, side="right")
             s = Motion(min(max(states[w, 0], stops.low), stops.high), states[w, 1], states[w, 2])
-            side = np.sign(s.v)
+            side, lost = np.sign(s.v), False
             for k in range(first[w], last[w]):
                 out[row, 0], out[row, 1], out[row, 2] = s.x, s.v, s.a
                 row += 1
-                if k == last[w] - 1:
-                    break
+                if lost or k == last[w] - 1:
+                    continue
                 here, before = at(part, course, k), s
                 while now < t[k + 1]:
                     until = min(t[k + 1], node_t[node]) if node < node_t.size else t[k + 1]
@@ -393,7 +393,7 @@ def integrator(laws: Laws[Part, Course]) -> Run[Part, Course]:
                         now = until
                     while node < node_t.size and node_t[node] <= now:
                         node += 1
-                if not np.isfinite(s.x + s.v + s.a):
-                    s = before
+                lost = not np.isfinite(s.x + s.v + s.a)
+                s = before if lost else s
 
     return run

@@ -144,7 +144,7 @@ def longest(
     turning = pull(s, side, u, r)
     coupling = m.constant * m.constant / m.inertia
     swift = min(coupling / how.gauge, np.sqrt(coupling / (m.inductance + TINY)))
-    size = min(size, max(pace(s.v, turning, r.law), finest), RESOLVED / (swift + TINY))
+    size = min(size, max(min(pace(s.v, turning, r.law), RESOLVED / (swift + TINY)), finest))
     if how.rate * min(size, finest / FINEST) <= FIRST_SHARE or how.rate == np.inf:
         return size
     course = goal - (rise - m.constant * turning) / (how.gauge * how.rate)
@@ -188,7 +188,8 @@ def simulate(
     friction. Window w covers the samples first[w] … last[w] − 1 and begins with states[w] = (ω, i, angle).
     """
     begun = np.empty_like(states)
-    begun[:, 0], begun[:, 1], begun[:, 2] = states[:, 2], states[:, 0], states[:, 1]
+    for w in range(first.size):
+        begun[w, 0], begun[w, 1], begun[w, 2] = states[w, 2], states[w, 0], states[w, 1]
     cold = Rotor(m, m.resistance, law_of(f))
     course = Course(warm, viscous_change, cold)
     run(t, node_t, voltage, first, last, begun, NO_STOPS, cold, course, out)
