@@ -6,7 +6,7 @@ Imported only by simulation kernels: a process that merely acquires data never l
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numba
 
@@ -23,7 +23,5 @@ def specialised(function: Function) -> Function:
 
     Such a function cannot be found again on disk; the kernel that calls it can, and has it inside.
     """
-    return cast(
-        Function,
-        numba.njit(fastmath=False, nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)(function),
-    )
+    inlined: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    return cast(Function, numba.njit(fastmath=False, nogil=True, **inlined)(function))

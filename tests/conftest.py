@@ -13,6 +13,17 @@ PATIENCE = 5.0
 # kept by the standard library for the life of the process, once a process pool was used
 KEPT_PROCESSES = ("resource_tracker", "forkserver")
 
+KEEPING_TIME = ("bus", "matrix", "run", "wire")
+"""Folders whose tests run devices and hosts in real time: never two of them at once."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Share the tests out by file; those that keep time are one share, which begins first."""
+    items.sort(key=lambda item: item.path.parent.name not in KEEPING_TIME)
+    for item in items:
+        timed = item.path.parent.name in KEEPING_TIME
+        item.add_marker(pytest.mark.xdist_group("in real time" if timed else item.path.name))
+
 
 @pytest.fixture(autouse=True)
 def nothing_left_running() -> Iterator[None]:

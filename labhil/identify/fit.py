@@ -23,7 +23,7 @@ from labhil.identify.identifiability import Identifiability, identifiability
 from labhil.identify.intervals import Intervals
 from labhil.identify.problem import Problem
 from labhil.identify.score import Score, score
-from labhil.identify.shapes import over_shapes
+from labhil.identify.shapes import beside_rivals, over_shapes
 from labhil.identify.table import ParameterTable, table_of
 from labhil.identify.windows import fit_windows, noise_of
 from labhil.physics.model import Metric, Model, Record, terms_named
@@ -34,6 +34,9 @@ Progress = Callable[[str], None]
 WINDOW_IN_HORIZONS = 1.5
 LADDER = (0.125, 0.25, 0.5, 1.0)
 LONGER = 2.0
+
+EXPLAINED = 1.1
+"""Residuals of a searched fit, in units of noise, below which no other start could do notably better."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,10 +145,13 @@ def _climbed(
     """Fits on longer and longer windows, the longest trusted one settled in its lowest minimum."""
     how.progress(f"fitting {len(terms)} terms on windows of {', '.join(f'{x:.3g}' for x in lengths)} s")
     first = _first_rung(model, record, terms, lengths, sigma, begin, fresh, how)
+    how.progress("looking for other minima")
+    first = over_shapes(first)
     rungs = [first, *climb(model, record, terms, lengths[1:], sigma, start=first.theta, fresh=())]
-    how.progress("looking for lower minima")
+    how.progress("looking for lower minima on the longest trusted windows")
     chosen = longest_trusted(rungs)
-    rungs[chosen] = settled(over_shapes(rungs[chosen]))
+    found = beside_rivals(rungs[chosen], first.rivals) if chosen else first
+    rungs[chosen] = settled(found)
     return rungs
 
 
@@ -173,19 +179,23 @@ def _first_rung(
     fresh: Sequence[str],
     how: Options,
 ) -> Fitted:
-    """The fit on the shortest windows: from the model's own starts, from a global search, or the better."""
-    own = None
-    if how.estimator in ("nlse", DEFAULT):
-        own = fit_terms(model, record, terms, lengths[0], sigma, start=begin, new_terms=fresh)
-        if how.estimator == "nlse":
-            return own
+    """The fit on the shortest windows: from the model's own starts, from a global search, or the better.
+
+    The default goes on from the model's own starts only where they promise more than the search gave.
+    """
+    if how.estimator == "nlse":
+        return fit_terms(model, record, terms, lengths[0], sigma, start=begin, new_terms=fresh)
     windows = fit_windows(record, lengths[-1] if model.forgets else lengths[0])
     problem = Problem(model, record, windows, free_of(model, terms), begin, sigma)
     how.progress(f"searching by {how.estimator}")
     found = search(problem, how.estimator, seed=how.seed, progress=how.progress)
-    trial = fit_terms(model, record, terms, lengths[0], sigma, start=found.theta, new_terms=())
-    trial.problem.evaluations += problem.evaluations
-    return trial if own is None or trial.solution.cost < own.solution.cost else own
+    searched = fit_terms(model, record, terms, lengths[0], sigma, start=found.theta, new_terms=())
+    searched.problem.evaluations += problem.evaluations
+    if how.estimator != DEFAULT or searched.noise < EXPLAINED:
+        return searched
+    best = searched.solution.cost
+    own = fit_terms(model, record, terms, lengths[0], sigma, start=begin, new_terms=fresh, hopeless=best)
+    return own if own.solution.cost < best else searched
 
 
 def _window_estimate(fitted: Fitted, length: float) -> WindowEstimate:

@@ -10,6 +10,7 @@ import numpy as np
 from labhil.identify import statistics
 from labhil.identify.least_squares import Solution, least_squares, settle
 from labhil.identify.problem import Point, Problem
+from labhil.identify.sensitivities import sensitivities
 from labhil.identify.windows import fit_windows
 from labhil.physics.model import Model, Record, index_of, start_values, starts_of, terms_named
 from labhil.signals import FloatArray
@@ -20,12 +21,16 @@ SCOUT_ITERATIONS = 8
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """A model's vector that was fitted on one cut into windows, with what led there."""
+    """A model's vector that was fitted on one cut into windows, with what led there.
+
+    ``rivals`` are other minima on the same windows that explain the data about as well.
+    """
 
     terms: tuple[str, ...]
     theta: FloatArray
     problem: Problem
     solution: Solution
+    rivals: tuple[Fitted, ...] = ()
 
     @property
     def noise(self) -> float:
@@ -116,8 +121,8 @@ def starts_with(model: Model, record: Record, begin: FloatArray, terms: Sequence
 def covariances(fitted: Fitted) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Robust and classical covariance in SI units (P, P), and the projected Jacobian (N, P) by SI units."""
     problem, solution = fitted.problem, fitted.solution
-    lin = problem.linearise(solution.point, solution.residuals, central=True)
-    jacobian = problem.project(lin, lin.by_parameters) / problem.scale
+    slopes = sensitivities(problem, solution.point, solution.residuals, fitted.noise)
+    jacobian = slopes / problem.scale
     if not jacobian.shape[1]:
         return np.empty((0, 0)), np.empty((0, 0)), jacobian
     unit = np.linalg.norm(jacobian, axis=0)

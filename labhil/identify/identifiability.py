@@ -14,10 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labhil.physics.terms import Parameter
-from labhil.signals import FloatArray
+from labhil.signals import FloatArray, IntArray
 
 WEAK = 1.0
 """Standard error (in relative units) from which a direction counts as unknown."""
+
+LOST = 20.0
+"""Standard error (in relative units) from which nothing can be followed along a direction."""
 
 INVOLVED = 0.05
 """Share of a weak direction from which a parameter counts as part of it."""
@@ -72,6 +75,21 @@ def weak_parameters(
     singular, rows = _relative_svd(parameters, values, jacobian)
     weak = noise / np.maximum(singular, 1e-300) > WEAK
     return np.asarray(np.any(np.abs(rows[weak]) > INVOLVED, axis=0))
+
+
+def lost_directions(
+    parameters: Sequence[Parameter], values: FloatArray, jacobian: FloatArray, noise: float
+) -> tuple[IntArray, np.ndarray]:
+    """Places of parameters which, held, leave no direction that is lost, and all that take part in one (P,).
+
+    Along a lost direction parameters may change by factors and the data do not see it.
+    """
+    if not len(values):
+        return np.empty(0, dtype=np.int64), np.empty(0, dtype=bool)
+    singular, rows = _relative_svd(parameters, values, jacobian)
+    lost = rows[noise / np.maximum(singular, 1e-300) > LOST]
+    involved = np.asarray(np.any(np.abs(lost) > INVOLVED, axis=0))
+    return np.array(sorted(_pivots(lost)), dtype=np.int64), involved
 
 
 def what_would_help(

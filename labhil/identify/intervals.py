@@ -7,6 +7,7 @@ where the model bends; the bootstrap draws blocks of residuals, which keeps thei
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import StrEnum
 
 import numpy as np
@@ -23,12 +24,15 @@ STEPS = 6
 TRIALS = 6
 CLOSE = 0.06
 
+FARTHEST = 2.3
+"""Logarithm of the largest factor by which a size is moved in one step."""
+
 
 class Intervals(StrEnum):
     """How intervals are made."""
 
     AUTO = "auto"
-    """Profiles for terms with a shape (Stribeck friction), whose cost is no parabola; Wald for the rest."""
+    """Profiles where the cost is no parabola (terms with a shape, poorly known sizes), Wald for the rest."""
     WALD = "wald"
     PROFILE = "profile"
     BOOTSTRAP = "bootstrap"
@@ -101,41 +105,69 @@ def profile_interval(
     """
     dof = max(len(solution.residuals) - len(problem.free) - solution.point.states.size, 1)
     threshold = reach**2 * inflation * solution.cost / dof
-    scale = problem.scale[j]
-    error = float(np.sqrt(covariance[j, j]))
     along = covariance[:, j] / covariance[j, j]
-    steps = [side * reach * np.sqrt(inflation) * error for side in (-1, 1)]
-    ends = [_crossing(problem, solution, j, along, step, threshold) * scale for step in steps]
+    error = float(np.sqrt(inflation * covariance[j, j]))
+    path = _path_of(problem, j, along)
+    ends = [
+        _crossing(problem, solution, j, path, side * reach * error, threshold) * problem.scale[j]
+        for side in (-1, 1)
+    ]
     return min(ends), max(ends)
 
 
+Path = Callable[[FloatArray, float], FloatArray]
+
+
+def _path_of(problem: Problem, j: int, along: FloatArray) -> Path:
+    """How all parameters (P,) go along when ``j`` is moved to a value, to first order, within bounds.
+
+    A size that cannot be zero changes by factors, and so do the others with it: products of powers are what
+    data know of sizes.
+    """
+
+    def straight(z: FloatArray, value: float) -> FloatArray:
+        return np.clip(z + (value - z[j]) * along, problem.lower, problem.upper)
+
+    def by_factors(z: FloatArray, value: float) -> FloatArray:
+        powers = np.divide(along * z[j], z, out=np.zeros_like(z), where=z != 0.0)
+        grown = z * np.exp(np.clip(powers * np.log(value / z[j]), -FARTHEST, FARTHEST))
+        return np.clip(grown, problem.lower, problem.upper)
+
+    return by_factors if problem.is_size(j) else straight
+
+
 def _crossing(
-    problem: Problem, solution: Solution, j: int, along: FloatArray, step: float, threshold: float
+    problem: Problem, solution: Solution, j: int, path: Path, step: float, threshold: float
 ) -> float:
     """Scaled value of parameter ``j`` at which its profile has risen by ``threshold``; a bound ends it."""
-    centre = solution.point.z[j]
-    for _ in range(STEPS):
-        z = float(np.clip(centre + step, problem.lower[j], problem.upper[j]))
-        moved = np.clip(solution.point.z + (z - centre) * along, problem.lower, problem.upper)
-        pinned = _refit_at(problem, Point(moved, solution.point.states), j, z)
-        rise = float(np.sqrt(max(pinned.cost - solution.cost, 0.0) / threshold))
-        if abs(rise - 1.0) < CLOSE or (z != centre + step and rise < 1.0):
-            return z
+    centre, near = solution.point.z[j], solution.point
+    sized = problem.is_size(j)
+    if sized:
+        step = float(np.clip(step / centre, -FARTHEST, FARTHEST))
+    z = centre
+    for number in range(STEPS):
+        wanted = centre * np.exp(step) if sized else centre + step
+        z = float(np.clip(wanted, problem.lower[j], problem.upper[j]))
+        near, cost = _refit_at(problem, Point(path(near.z, z), near.states), j, z, thorough=number == 0)
+        rise = float(np.sqrt(max(cost - solution.cost, 0.0) / threshold))
+        if abs(rise - 1.0) < CLOSE or (z != wanted and rise < 1.0):
+            break
         step *= float(np.clip(1.0 / max(rise, 1e-3), 0.4, 2.5))
-    return float(np.clip(centre + step, problem.lower[j], problem.upper[j]))
+    return z
 
 
-def _refit_at(problem: Problem, near: Point, j: int, z: float) -> Solution:
-    """All other parameters and all states refitted with parameter ``j`` held at ``z``."""
+def _refit_at(problem: Problem, near: Point, j: int, z: float, *, thorough: bool) -> tuple[Point, float]:
+    """All other parameters and all states refitted with parameter ``j`` held at ``z``, and the cost there."""
     theta = problem.theta(near.z)
     theta[problem.free[j]] = z * problem.scale[j]
-    pinned = Problem(
-        problem.model, problem.record, problem.windows, np.delete(problem.free, j), theta, problem.sigma
-    )
-    others = np.delete(near.z, j)
-    states = search_states(pinned, others, near.states, np.random.default_rng(0), trials=TRIALS)
+    pinned = problem.pinned(np.array([j]), theta)
+    others, states = np.delete(near.z, j), near.states
+    if thorough:
+        states = search_states(pinned, others, states, np.random.default_rng(0), trials=TRIALS)
     begin = Point(others, states)
-    return least_squares(pinned, begin, iterations=12, settled=True, thorough=False)
+    found = least_squares(pinned, begin, iterations=40, tolerance=1e-5, settled=True, thorough=False)
+    problem.evaluations += pinned.evaluations
+    return Point(np.insert(found.point.z, j, z), found.point.states), found.cost
 
 
 def cramer_rao(problem: Problem, point: Point) -> FloatArray:

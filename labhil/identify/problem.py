@@ -76,6 +76,15 @@ class Problem:
         )
         return Problem(self.model, self.record, Windows.of(spans), self.free, self.base, self.sigma)
 
+    def pinned(self, places: IntArray, theta: FloatArray) -> Problem:
+        """The same problem with the free parameters at ``places`` held where the vector ``theta`` is."""
+        others = np.delete(self.free, places)
+        return Problem(self.model, self.record, self.windows, others, theta, self.sigma)
+
+    def is_size(self, j: int) -> bool:
+        """Whether free parameter ``j`` is a rig's own size that cannot be zero: a mass, a resistance."""
+        return self.model.parameters[self.free[j]].term is None and bool(self.lower[j] > 0.0)
+
     def start(self) -> Point:
         """The base values, with initial states guessed from the measurement."""
         return Point(self.base[self.free] / self.scale, self.guess)

@@ -1,60 +1,130 @@
-"""Shapes have local minima: a width such as the Stribeck velocity is scanned over its whole range.
+"""Other minima: parameters whose cost is no parabola are scanned over their whole range.
 
-Too narrow and it is not seen, too wide and it passes for viscous friction; in both places the cost is flat
-or has a minimum of its own. So the width is held at values across its bounds while all else is refitted,
-and the best of them are let go.
+A width such as the Stribeck velocity is not seen where it is too narrow and passes for viscous friction
+where it is too wide; two time constants may change places. In such places the cost is flat or has a minimum
+of its own. So the parameter is held at values across its range while all else is refitted, and the best of
+them are let go. What ends elsewhere and explains the data about as well is a rival: intervals reach over it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from labhil.identify.fitted import Fitted
+from labhil.identify.fitted import Fitted, covariances
 from labhil.identify.least_squares import Solution, least_squares
 from labhil.identify.problem import Point, Problem
+from labhil.physics.terms import Parameter
+from labhil.signals import FloatArray
 
 VALUES = 8
+AT_FIRST, AFTERWARDS = 2, 5
+"""Steps of least squares at every value, and further ones at the better half of them."""
+
 LET_GO = 2
-HELD_ITERATIONS = 6
+
+POORLY_KNOWN = 0.05
+"""Relative standard error from which the cost of a size may have more than one minimum."""
+
+UNKNOWN = 10.0
+"""Relative standard error from which the cost does not know the size at all."""
+
+REACH = 5.0
+"""How many times larger and smaller such a size is tried."""
+
+ABOUT_AS_WELL = 12.0
+"""Squares of noise by which a rival's cost may exceed the best; intervals judge by their own level."""
+
+ELSEWHERE = 0.5
+"""Standard errors from which a minimum is another one."""
 
 
 def over_shapes(fitted: Fitted) -> Fitted:
-    """The best of this fit and those that begin at other values of its shape parameters."""
-    best = fitted
-    for place in fitted.problem.free:
+    """The best of this fit and those that begin at other values of what is scanned, with its rivals."""
+    found = [fitted]
+    errors = _errors(fitted)
+    for j, place in enumerate(fitted.problem.free):
         parameter = fitted.problem.model.parameters[place]
-        if parameter.shape and 0.0 < parameter.lower < parameter.upper < np.inf:
-            best = _scanned(best, int(place))
-    return best
+        values = _values(parameter, float(fitted.theta[place]), float(errors[j]))
+        best = min(found, key=lambda each: each.solution.cost)
+        found.extend(_scanned(best, j, values))
+    best = min(found, key=lambda each: each.solution.cost)
+    return replace(best, rivals=tuple(_rivals(best, found)))
 
 
-def _scanned(fitted: Fitted, place: int) -> Fitted:
-    """Scan the shape parameter at ``place`` of the model's vector."""
+def beside_rivals(fitted: Fitted, places: tuple[Fitted, ...]) -> Fitted:
+    """The best of this fit and those that begin where these other fits stand, with its rivals."""
+    problem, found = fitted.problem, [fitted]
+    for place in places:
+        begin = Point(place.theta[problem.free] / problem.scale, fitted.solution.point.states)
+        let_go = least_squares(problem, begin, iterations=30, settled=True, thorough=False)
+        found.append(replace(fitted, theta=problem.theta(let_go.point.z), solution=let_go))
+    best = min(found, key=lambda each: each.solution.cost)
+    return replace(best, rivals=tuple(_rivals(best, found)))
+
+
+def _values(parameter: Parameter, value: float, error: float) -> FloatArray:
+    """Where a parameter is tried; nowhere if its cost is taken for a parabola."""
+    if parameter.shape and 0.0 < parameter.lower < parameter.upper < np.inf:
+        return np.geomspace(parameter.lower, parameter.upper, VALUES)
+    if parameter.term is None and parameter.lower > 0.0 and POORLY_KNOWN * value < error < UNKNOWN * value:
+        tried = value * np.geomspace(1.0 / REACH, REACH, VALUES)
+        return tried[(tried > parameter.lower) & (tried < parameter.upper)]
+    return np.empty(0)
+
+
+def _scanned(fitted: Fitted, j: int, values: FloatArray) -> Iterator[Fitted]:
+    """Where the fit ends from the most promising ``values`` (SI) of free parameter ``j``."""
     problem, solution = fitted.problem, fitted.solution
-    parameter = problem.model.parameters[place]
-    j = int(np.flatnonzero(problem.free == place)[0])
+    begin = Point(_without_amplitude(problem, solution.point.z, j), solution.point.states)
+    held = [_held_at(problem, begin, j, float(value), AT_FIRST) for value in values]
+    better = sorted(held, key=lambda found: found.cost)[: (len(held) + 1) // 2]
+    scale = problem.scale[j]
     held = [
-        _held_at(problem, solution.point, j, float(value))
-        for value in np.geomspace(parameter.lower, parameter.upper, VALUES)
+        _held_at(problem, trial.point, j, float(trial.point.z[j] * scale), AFTERWARDS) for trial in better
     ]
-    best = fitted
     for trial in sorted(held, key=lambda found: found.cost)[:LET_GO]:
         let_go = least_squares(problem, trial.point, iterations=30, settled=True, thorough=False)
-        if let_go.cost < best.solution.cost:
-            best = replace(best, theta=problem.theta(let_go.point.z), solution=let_go)
-    return best
+        yield replace(fitted, theta=problem.theta(let_go.point.z), solution=let_go)
 
 
-def _held_at(problem: Problem, begin: Point, j: int, value: float) -> Solution:
+def _without_amplitude(problem: Problem, z: FloatArray, j: int) -> FloatArray:
+    """Scaled parameters with the rest of the term of ``j`` at neutral: a level depends on its width."""
+    parameters = [problem.model.parameters[i] for i in problem.free]
+    term = parameters[j].term
+    others = [i for i, p in enumerate(parameters) if term is not None and p.term == term and not p.shape]
+    begin = z.copy()
+    begin[others] = [parameters[i].neutral / problem.scale[i] for i in others]
+    return begin
+
+
+def _held_at(problem: Problem, begin: Point, j: int, value: float, iterations: int) -> Solution:
     """All but free parameter ``j`` refitted a little, that one held at ``value`` (SI); as a point of all."""
     theta = problem.theta(begin.z)
     theta[problem.free[j]] = value
-    others = np.delete(problem.free, j)
-    pinned = Problem(problem.model, problem.record, problem.windows, others, theta, problem.sigma)
+    pinned = problem.pinned(np.array([j]), theta)
     start = Point(np.delete(begin.z, j), begin.states)
-    found = least_squares(pinned, start, iterations=HELD_ITERATIONS, settled=True, thorough=False)
+    found = least_squares(pinned, start, iterations=iterations, settled=True, thorough=False)
     whole = np.insert(found.point.z, j, value / problem.scale[j])
     problem.evaluations += pinned.evaluations
     return replace(found, point=Point(whole, found.point.states))
+
+
+def _rivals(best: Fitted, found: list[Fitted]) -> Iterator[Fitted]:
+    """The other minima that explain the data about as well, each once."""
+    errors = _errors(best)
+    known: list[Fitted] = [best]
+    for other in sorted(found, key=lambda each: each.solution.cost):
+        if other.solution.cost > best.solution.cost + ABOUT_AS_WELL * best.noise**2:
+            return
+        apart = [np.abs(other.theta - each.theta)[best.problem.free] > ELSEWHERE * errors for each in known]
+        if all(np.any(each) for each in apart):
+            known.append(other)
+            yield replace(other, rivals=())
+
+
+def _errors(fitted: Fitted) -> FloatArray:
+    _, classical, _ = covariances(fitted)
+    return np.asarray(np.sqrt(np.diag(classical)))

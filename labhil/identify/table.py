@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from labhil.identify import statistics
 from labhil.identify.fitted import Fitted, covariances
-from labhil.identify.identifiability import weak_parameters
+from labhil.identify.identifiability import lost_directions, weak_parameters
 from labhil.identify.intervals import (
     Intervals,
     bootstrap_intervals,
@@ -16,7 +16,12 @@ from labhil.identify.intervals import (
     quantile,
     simultaneous_quantile,
 )
+from labhil.identify.problem import Point
+from labhil.identify.shapes import POORLY_KNOWN
+from labhil.identify.statistics import inverse_information
 from labhil.signals import FloatArray
+
+Interval = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,26 +55,72 @@ def _intervals(
     classical: FloatArray,
     jacobian: FloatArray,
     reach: float,
-) -> list[tuple[float, float]]:
-    """Intervals of all parameters (SI) that reach out to ``reach`` normal standard errors."""
+) -> list[Interval]:
+    """Intervals of all parameters (SI), ``reach`` normal standard errors wide, rivals included."""
     problem, solution = fitted.problem, fitted.solution
     values, errors = fitted.theta[problem.free], np.sqrt(np.maximum(np.diag(robust), 0.0))
-    wald = [(float(v - reach * e), float(v + reach * e)) for v, e in zip(values, errors, strict=True)]
-    if method is Intervals.BOOTSTRAP:
-        return bootstrap_intervals(jacobian, solution.residuals, values, fitted.dof, reach)
-    if method is Intervals.WALD:
-        return wald
     inflation = np.diag(robust) / np.maximum(np.diag(classical), 1e-300)
-    scaled = classical / np.outer(problem.scale, problem.scale)
-    followed = np.isfinite(errors) & (_bent(fitted) if method is Intervals.AUTO else True)
-    return [
-        profile_interval(problem, solution, j, scaled, float(inflation[j]), reach) if followed[j] else wald[j]
-        for j in range(len(values))
-    ]
+    ends = [(float(v - reach * e), float(v + reach * e)) for v, e in zip(values, errors, strict=True)]
+    if method is Intervals.BOOTSTRAP:
+        ends = bootstrap_intervals(jacobian, solution.residuals, values, fitted.dof, reach)
+    elif method is not Intervals.WALD:
+        followed = np.isfinite(errors) & (_bent(fitted, errors) if method is Intervals.AUTO else True)
+        ends = [
+            found or wald
+            for found, wald in zip(_profiles(fitted, followed, jacobian, inflation, reach), ends, strict=True)
+        ]
+    for rival in fitted.rivals:
+        ends = [_hull(*both) for both in zip(ends, _of_rival(rival, fitted, inflation, reach), strict=True)]
+    return ends
 
 
-def _bent(fitted: Fitted) -> np.ndarray:
-    """Which free parameters belong to a term with a shape, (P,) of bool."""
-    model = fitted.problem.model
+def _profiles(
+    fitted: Fitted, followed: np.ndarray, jacobian: FloatArray, inflation: FloatArray, reach: float
+) -> list[Interval | None]:
+    """Profile intervals of the parameters ``followed`` (P,), None for others.
+
+    Where the data know nothing of a direction, one parameter of it is held and none of it followed: that
+    changes no profile of the others, and the refits along them need not wander.
+    """
+    whole, theta, free = fitted.problem, fitted.theta, fitted.problem.free
+    parameters = [whole.model.parameters[i] for i in free]
+    lost, involved = lost_directions(parameters, theta[free], jacobian, fitted.noise)
+    kept = np.delete(np.arange(len(free)), lost)
+    problem = whole.pinned(lost, theta)
+    point = Point(fitted.solution.point.z[kept], fitted.solution.point.states)
+    solution = replace(fitted.solution, point=point)
+    scaled = jacobian[:, kept] * problem.scale
+    unit = np.maximum(np.linalg.norm(scaled, axis=0), 1e-300)
+    covariance = inverse_information(scaled / unit) / np.outer(unit, unit) * fitted.noise**2
+    ends: list[Interval | None] = [None] * len(free)
+    for j, place in enumerate(kept):
+        if followed[place] and not involved[place]:
+            ends[place] = profile_interval(problem, solution, j, covariance, float(inflation[place]), reach)
+    whole.evaluations += problem.evaluations
+    return ends
+
+
+def _of_rival(rival: Fitted, best: Fitted, inflation: FloatArray, reach: float) -> list[Interval | None]:
+    """What a rival adds to every interval: as far as the likelihood that its higher cost leaves it."""
+    _, classical, _ = covariances(rival)
+    values, errors = rival.theta[rival.problem.free], np.sqrt(np.maximum(np.diag(classical), 0.0))
+    excess = max(rival.solution.cost - best.solution.cost, 0.0) / best.noise**2
+    left = np.sqrt(np.maximum(reach**2 * inflation - excess, 0.0)) * errors
+    return [(float(v - e), float(v + e)) if e > 0.0 else None for v, e in zip(values, left, strict=True)]
+
+
+def _hull(one: Interval, other: Interval | None) -> Interval:
+    return one if other is None else (min(one[0], other[0]), max(one[1], other[1]))
+
+
+def _bent(fitted: Fitted, errors: FloatArray) -> np.ndarray:
+    """Which free parameters have a cost that is no parabola, (P,) of bool.
+
+    Those of a term with a shape, and sizes that cannot be zero and are poorly known (``errors``, SI).
+    """
+    model, free = fitted.problem.model, fitted.problem.free
+    parameters = [model.parameters[i] for i in free]
     shaped = {key for key, term in model.terms.items() if any(p.shape for p in term.parameters)}
-    return np.array([model.parameters[i].term in shaped for i in fitted.problem.free], dtype=bool)
+    of_shape = np.array([p.term in shaped for p in parameters], dtype=bool)
+    is_size = np.array([p.term is None and p.lower > 0.0 for p in parameters], dtype=bool)
+    return of_shape | (is_size & (errors > POORLY_KNOWN * np.abs(fitted.theta[free])))

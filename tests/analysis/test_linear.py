@@ -210,12 +210,13 @@ def test_a_run_without_bounds_has_no_finite_error() -> None:
 @given(st.lists(st.floats(-8, 8), min_size=1, max_size=6))
 @settings(max_examples=60, deadline=None)
 def test_denominators_are_stable_whatever_is_tried(theta: list[float]) -> None:
+    # roots that fall together are known to the sixth root of a rounding error only
     f = stable(np.array(theta))
-    assert np.abs(np.roots(f)).max() < 1 + 1e-6
+    assert np.abs(np.roots(f)).max() < 1 + 5e-3
     mild = stable(np.clip(theta, -2, 2))
     np.testing.assert_allclose(stable(unbounded(mild)), mild, atol=1e-6)
     mirrored = stabilised(np.append(1.0, np.array(theta)))
-    assert np.abs(np.roots(mirrored)).max(initial=0.0) < 1 + 1e-6
+    assert np.abs(np.roots(mirrored)).max(initial=0.0) < 1 + 5e-3
 
 
 def test_an_unstable_regression_still_runs_freely() -> None:

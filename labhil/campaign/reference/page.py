@@ -17,7 +17,9 @@ beside ours on data of plants with its parameters. Written by `labhil reference 
 - **truth**: the plant's value. For the motor and the solenoid it is the text's real value; for ball and beam
   and the UR5, which the text measured on hardware, its PSO value, so that its numbers mean what it meant.
 - **bound, σ**: the Cramér-Rao bound, the smallest standard error of any unbiased estimator on these data, in
-  the row's unit and in % of the truth; "none" where the data do not know the value at all.
+  the row's unit and in % of the truth; "none" where the data do not know the value at all. It is a lower
+  limit that curvature at the truth gives: where it is a large share of the value (a static level, a Stribeck
+  velocity) the likelihood is no parabola and honest errors can be several times as large.
 - **text: PSO**, **text: NLSE**: as printed. Every cell has the value, its error in % and in bounds.
 - **ours: text's swarm**: equations 3.1 to 3.4, its particles and iterations, in a box from zero to five times
   the truth (a Stribeck level also as far below zero). The text says nothing of its box; this one knows the

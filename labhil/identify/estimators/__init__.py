@@ -12,9 +12,10 @@ from dataclasses import dataclass
 
 from labhil.errors import UnknownNameError
 from labhil.identify.estimators.coordinates import Coordinates
-from labhil.identify.estimators.library import cma_es, differential_evolution, mcmc, simulated_annealing
+from labhil.identify.estimators.library import cma_es, differential_evolution, simulated_annealing
+from labhil.identify.estimators.sampling import mcmc
 from labhil.identify.estimators.search import Budget, Found, Ledger, Progress
-from labhil.identify.estimators.swarm import adaptive_swarm, swarm_with_evolution, text_swarm
+from labhil.identify.estimators.swarm import adaptive_swarm, affordable, swarm_with_evolution, text_swarm
 from labhil.identify.problem import Problem
 from labhil.signals import FloatArray
 
@@ -39,6 +40,7 @@ EVALUATIONS = 400
 
 HYBRID_EVALUATIONS = 60
 PATIENCE = 40
+INTERRUPTED = "interrupted"
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,9 +68,17 @@ def search(
 ) -> Begin:
     """Search a box around the problem's start with one of METHODS (or ``hybrid``: briefly).
 
-    The initial states of all windows are held at the measured guess. Interrupting (Ctrl+C) ends the
-    search with the best so far.
+    What the initial states of windows explain is projected out around the measured guess. Interrupting
+    (Ctrl+C) ends the search with the best so far.
     """
+    try:
+        return _searched(problem, name, seed, budget, progress)
+    except KeyboardInterrupt:
+        z = problem.start().z
+        return Begin(problem.theta(z), Found(z, float("inf"), 0, (), INTERRUPTED))
+
+
+def _searched(problem: Problem, name: str, seed: int, budget: Budget | None, progress: Progress) -> Begin:
     coordinates = Coordinates.of(problem)
     share = HYBRID_EVALUATIONS if name == DEFAULT else EVALUATIONS
     limit = budget or Budget(share * max(len(coordinates.box), 1), patience=PATIENCE)
@@ -79,11 +89,12 @@ def search(
         found = Found(coordinates.start, coordinates.cost(coordinates.start), 1, (), "nothing to search")
         return Begin(problem.theta(z), found)
     try:
-        found = method(ledger, seed, coordinates.start)
+        rounds = {"iterations": affordable(ledger)} if method is text_swarm else {}
+        found = method(ledger, seed, coordinates.start, **rounds)
     except KeyboardInterrupt:
-        ledger.stopped_because = "interrupted"
         if not ledger.evaluations:
-            ledger.z = coordinates.start
+            raise
+        ledger.stopped_because = INTERRUPTED
         found = ledger.found()
     return Begin(problem.theta(coordinates.z(found.z)), found)
 

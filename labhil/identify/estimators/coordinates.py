@@ -1,8 +1,7 @@
 """From a problem to what a global search sees: a finite box, and a cost of one vector.
 
 Sizes that cannot be zero (an inertia, a resistance) are searched by their logarithm. Parameters in which
-the outputs are linear are projected out (Golub and Pereyra 1973): for every point of the others they are
-solved for, so the search is as small as what is really nonlinear.
+the outputs are linear are projected out, so the search is as small as what is really nonlinear.
 """
 
 from __future__ import annotations
@@ -10,79 +9,95 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
+from labhil.identify.estimators.projection import Reduced
 from labhil.identify.estimators.search import Box
 from labhil.identify.problem import Point, Problem
-from labhil.signals import FloatArray, IntArray
+from labhil.physics.terms import Parameter
+from labhil.signals import FloatArray
 
-DECADE = 1.5
-"""Half width of the box in decades around the start, for sizes that cannot be zero."""
+DECADES = 1.5
+"""How far beyond scale and start a size reaches that has no telling bounds, both ways."""
+
+TELLING = 1e5
+"""Bounds of a size that are further apart only keep the model computable; they say nothing of where it is."""
 
 SCALES = 5.0
-"""Half width of the box in scales, for parameters without a finite bound."""
+"""Reach of a parameter without a finite bound, both ways from zero: in scales, and in starts beyond one."""
+
+
+def box(problem: Problem, start: FloatArray | None = None) -> Box:
+    """The finite box of all free parameters, in units of their scale, always inside the bounds.
+
+    A finite bound is the box's. Where a bound is infinite the box ends five scales from zero, or five
+    times the start where that is more than a scale. A size that cannot be zero and whose bounds are more than
+    five decades apart reaches 1.5 decades beyond both its scale and its ``start`` (P,).
+    """
+    z = problem.start().z if start is None else start
+    parameters = [problem.model.parameters[i] for i in problem.free]
+    reach = SCALES * np.maximum(1.0, np.abs(z))
+    low = np.where(np.isfinite(problem.lower), problem.lower, -reach)
+    high = np.where(np.isfinite(problem.upper), problem.upper, reach)
+    vague = np.array([_is_size(p) for p in parameters], dtype=bool)
+    vague &= (problem.lower > 0.0) & (problem.upper > TELLING * problem.lower)
+    size = np.maximum(np.abs(z), 1e-12)
+    low = np.where(vague, np.minimum(size, 1.0) / 10**DECADES, low)
+    high = np.where(vague, np.maximum(size, 1.0) * 10**DECADES, high)
+    low, high = np.maximum(low, problem.lower), np.minimum(high, problem.upper)
+    return Box(low, np.maximum(low, high))
+
+
+def _is_size(parameter: Parameter) -> bool:
+    """Whether it is a rig's own parameter or a width: then it is searched by its logarithm, if positive."""
+    return parameter.term is None or parameter.shape
 
 
 @dataclass(frozen=True)
 class Coordinates:
     """How a search's vector stands for the free parameters of a problem.
 
-    ``searched`` (S,) are places among the free ones, ``linear`` (L,) those that are solved for;
-    ``logarithmic`` (S,) marks which are searched by their logarithm. Initial states are ``states``, held.
+    ``logarithmic`` (S,) marks which of the searched ones, those that ``reduced`` keeps, are searched by
+    their logarithm; ``box`` and ``start`` (S,) are in these coordinates.
     """
 
-    problem: Problem
-    searched: IntArray
-    linear: IntArray
+    reduced: Reduced
     logarithmic: np.ndarray
     box: Box
     start: FloatArray
-    states: FloatArray
 
     @classmethod
-    def of(cls, problem: Problem, *, project: bool = True) -> Coordinates:
-        """Coordinates around the problem's start; without ``project`` everything is searched."""
-        point = problem.start()
-        parameters = [problem.model.parameters[i] for i in problem.free]
-        is_linear = np.array([project and p.linear for p in parameters], dtype=bool)
-        searched, linear = np.flatnonzero(~is_linear), np.flatnonzero(is_linear)
-        size = np.maximum(np.abs(point.z), 1e-12)
-        logarithmic = np.array([parameters[j].term is None and problem.lower[j] > 0.0 for j in searched])
-        lower, upper = problem.lower[searched], problem.upper[searched]
-        reach = SCALES * np.maximum(1.0, size[searched])
-        low = np.where(logarithmic, size[searched] / 10**DECADE, np.maximum(lower, -reach))
-        high = np.where(logarithmic, size[searched] * 10**DECADE, np.minimum(upper, reach))
-        low, high = np.maximum(low, lower), np.minimum(high, upper)
-        shaped = np.array([parameters[j].shape and problem.lower[j] > 0.0 for j in searched])
-        logarithmic = logarithmic | shaped
-        begin = np.clip(point.z[searched], low, high)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ends = [np.where(logarithmic, np.log(np.maximum(x, 1e-300)), x) for x in (low, high, begin)]
-        return cls(problem, searched, linear, logarithmic, Box(ends[0], ends[1]), ends[2], point.states)
+    def of(
+        cls,
+        problem: Problem,
+        start: Point | None = None,
+        *,
+        project: bool = True,
+    ) -> Coordinates:
+        """Coordinates around ``start`` (by default the problem's own).
+
+        Without ``project`` the linear parameters are searched too.
+        """
+        begin = problem.start() if start is None else start
+        reduced = Reduced.of(problem, begin, project=project)
+        whole = box(problem, begin.z)
+        low, high = whole.lower[reduced.kept], whole.upper[reduced.kept]
+        sizes = [_is_size(problem.model.parameters[i]) for i in problem.free[reduced.kept]]
+        chosen = np.array(sizes, dtype=bool) & (low > 0.0)
+        inside = np.clip(begin.z[reduced.kept], low, high)
+        ends = [np.where(chosen, np.log(np.where(chosen, x, 1.0)), x) for x in (low, high, inside)]
+        return cls(reduced, chosen, Box(ends[0], ends[1]), ends[2])
 
     def z(self, vector: FloatArray) -> FloatArray:
         """All free parameters, scaled; the linear ones solved for within their bounds."""
-        z = self.problem.start().z.copy()
-        z[self.searched] = np.where(self.logarithmic, np.exp(np.where(self.logarithmic, vector, 0.0)), vector)
-        return self._solved(z) if len(self.linear) else z
+        kept = self._kept(vector)
+        return self.reduced.solve(kept)[0] if len(self.reduced.linear) else kept
 
     def cost(self, vector: FloatArray) -> float:
-        """Sum of squared residuals in units of noise, initial states held."""
-        residuals = self.problem.residuals(Point(self.z(vector), self.states))
-        return float(residuals @ residuals)
+        """Sum of squared residuals in units of noise, but for what initial states explain."""
+        return self.reduced.cost(self._kept(vector))
 
-    def _solved(self, z: FloatArray) -> FloatArray:
-        """``z`` with the linear parameters at their least squares."""
-        z[self.linear] = 0.0
-        base = self.problem.residuals(Point(z, self.states))
-        columns = np.empty((len(base), len(self.linear)))
-        for k, j in enumerate(self.linear):
-            moved = z.copy()
-            moved[j] = 1.0
-            columns[:, k] = self.problem.residuals(Point(moved, self.states)) - base
-        bounds = (self.problem.lower[self.linear], self.problem.upper[self.linear])
-        values, *_ = np.linalg.lstsq(columns, -base, rcond=None)
-        if np.any(values < bounds[0]) or np.any(values > bounds[1]):
-            values = lsq_linear(columns, -base, bounds=bounds).x
-        z[self.linear] = values
-        return z
+    def _kept(self, vector: FloatArray) -> FloatArray:
+        """The searched parameters, scaled; the exponential's rounding must not leave the bounds."""
+        kept = np.where(self.logarithmic, np.exp(np.where(self.logarithmic, vector, 0.0)), vector)
+        places, problem = self.reduced.kept, self.reduced.problem
+        return np.clip(kept, problem.lower[places], problem.upper[places])

@@ -1,4 +1,4 @@
-"""Global searches of kept libraries, behind the same door: scipy's, CMA-ES by pycma, MCMC by emcee."""
+"""Global searches of kept libraries, behind the same door: scipy's, and CMA-ES by pycma."""
 
 from __future__ import annotations
 
@@ -81,42 +81,3 @@ def cma_es(ledger: Ledger, seed: int, start: FloatArray | None = None, iteration
         if ledger.enough():
             break
     return ledger.found()
-
-
-def mcmc(ledger: Ledger, seed: int, start: FloatArray | None = None, iterations: int = 1000) -> Found:
-    """Sample exp(−cost/2) inside the box by emcee's affine-invariant walkers; ``draws`` is its second half.
-
-    The cost must be a sum of squares in units of noise. Walkers begin close to ``start``, or anywhere.
-    ``stopped_because`` tells whether the chain is long against its autocorrelation time.
-    """
-    try:
-        import emcee
-    except ImportError as error:
-        raise MissingExtraError("emcee", "search", "the estimator mcmc") from error
-    box, walkers = ledger.box, 4 * len(ledger.box)
-    random = np.random.default_rng(seed)
-    begin = box.draw(random, walkers)
-    if start is not None:
-        near = 1e-3 * (box.upper - box.lower)
-        # walkers that share a bound would never leave it: they begin beside it
-        inside = np.clip(start, box.lower + 3.0 * near, box.upper - 3.0 * near)
-        begin = box.clip(inside + near * random.standard_normal(begin.shape))
-
-    def log_posterior(z: FloatArray) -> float:
-        if np.any(z < box.lower) or np.any(z > box.upper):
-            return -np.inf
-        return -0.5 * ledger.one(z)
-
-    sampler = emcee.EnsembleSampler(walkers, len(box), log_posterior)
-    sampler.random_state = np.random.RandomState(seed).get_state()
-    steps = min(iterations, max(ledger.budget.evaluations // walkers, 2))
-    for k, _ in enumerate(sampler.sample(begin, iterations=steps)):
-        if k % 20 == 0 and ledger.enough():
-            break
-    chain = sampler.get_chain(discard=sampler.iteration // 2, flat=True)
-    # a walker that never moved has no autocorrelation
-    with np.errstate(invalid="ignore", divide="ignore"):
-        time = float(np.max(sampler.get_autocorr_time(quiet=True, tol=0)))
-    told = f"is {sampler.iteration / time:.0f} autocorrelation times long" if time > 0.0 else "is too short"
-    ledger.stopped_because = f"chain of {sampler.iteration} steps {told}"
-    return ledger.found(draws=np.asarray(chain))

@@ -26,6 +26,11 @@ def text_swarm(ledger: Ledger, seed: int, start: FloatArray | None = None, itera
     return _swarm(ledger, seed, start, iterations, adaptive=False, crossing=0.0)
 
 
+def affordable(ledger: Ledger, iterations: int = 1000) -> int:
+    """Rounds of a swarm that the budget leaves of so many; in these χ has to fall, or it never does."""
+    return max(1, min(iterations, ledger.budget.evaluations // (PER_DIMENSION * len(ledger.box)) - 1))
+
+
 def adaptive_swarm(
     ledger: Ledger, seed: int, start: FloatArray | None = None, iterations: int = 1000
 ) -> Found:

@@ -1,0 +1,96 @@
+"""Variable projection: a problem with fewer parameters, the linear ones solved for at every point.
+
+Golub and Pereyra 1973: where the outputs are affine in some of the parameters, their best values for given
+values of the others are a linear least-squares problem, so a search need not know of them. What the windows'
+own initial states could explain is taken out too, by their slopes at the start: a measured velocity is too
+rough to be held.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from labhil.identify.problem import Linearised, Point, Problem
+from labhil.signals import FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class Reduced:
+    """A problem over the free parameters that are not linear, initial states projected out to first order.
+
+    ``kept`` (K,) are the places among the free parameters of those that stay, ``linear`` (L,) of those
+    that are solved for within their bounds; ``states`` (W, S) are the initial states about which
+    ``slopes`` tell what other ones would change.
+    """
+
+    problem: Problem
+    states: FloatArray
+    slopes: Linearised
+    kept: IntArray
+    linear: IntArray
+
+    @classmethod
+    def of(cls, problem: Problem, start: Point, *, project: bool = True) -> Reduced:
+        """Reduce by every parameter that its model calls linear; without ``project`` all are kept."""
+        marked = [project and problem.model.parameters[i].linear for i in problem.free]
+        is_linear = np.array(marked, dtype=bool)
+        residuals = problem.residuals(start)
+        by_states = problem.state_slopes(start, residuals)
+        slopes = Linearised(residuals, np.empty((len(residuals), 0)), by_states)
+        return cls(problem, start.states, slopes, np.flatnonzero(~is_linear), np.flatnonzero(is_linear))
+
+    def solve(self, kept: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """All free parameters (P,), scaled, for the ``kept`` ones (K,), and the residuals (N·c,) there."""
+        z = np.clip(np.zeros(len(self.problem.free)), self.problem.lower, self.problem.upper)
+        z[self.kept] = kept
+        residuals = self._residuals(z)
+        if not len(self.linear) or not np.all(np.isfinite(residuals)):
+            return z, residuals
+        columns = self._columns(z, residuals)
+        change = self._best_change(z, columns, residuals)
+        z[self.linear] += change
+        return z, residuals + columns @ change
+
+    def cost(self, kept: FloatArray) -> float:
+        """Sum of squares (units of noise) for the ``kept`` parameters, the others at their best."""
+        _, residuals = self.solve(kept)
+        return float(residuals @ residuals)
+
+    def _residuals(self, z: FloatArray) -> FloatArray:
+        """Residuals (N·c,) but for what the states explain."""
+        found = self.problem.residuals(Point(z, self.states))
+        return self.problem.project(self.slopes, found[:, None])[:, 0]
+
+    def _columns(self, z: FloatArray, residuals: FloatArray) -> FloatArray:
+        """Slopes (N·c, L) by the linear parameters, from steps inside their bounds."""
+        columns = np.empty((len(residuals), len(self.linear)))
+        for k, j in enumerate(self.linear):
+            moved = z.copy()
+            above, below = self.problem.upper[j] - z[j], z[j] - self.problem.lower[j]
+            moved[j] += min(1.0, above) if above >= min(1.0, below) else -min(1.0, below)
+            step = moved[j] - z[j]
+            slope = (self._residuals(moved) - residuals) / (step or 1.0)
+            # a parameter that cannot move, or whose simulation runs away, stays where it is
+            columns[:, k] = slope if np.all(np.isfinite(slope)) else 0.0
+        return columns
+
+    def _best_change(self, z: FloatArray, columns: FloatArray, residuals: FloatArray) -> FloatArray:
+        """What to add to the linear parameters (L,): least squares, the bounded ones where a bound is hit."""
+        room = (
+            self.problem.lower[self.linear] - z[self.linear],
+            self.problem.upper[self.linear] - z[self.linear],
+        )
+        size = np.linalg.norm(columns, axis=0)
+        unit = np.where(size > 0.0, size, 1.0)
+        q, r = np.linalg.qr(columns / unit)
+        wanted = -q.T @ residuals
+        change = np.linalg.lstsq(r, wanted, rcond=None)[0] / unit
+        free = (room[0] < room[1]) & (size > 0.0)
+        change[~free] = 0.0
+        if np.any(change < room[0]) or np.any(change > room[1]):
+            bounds = room[0][free] * unit[free], room[1][free] * unit[free]
+            change[free] = lsq_linear(r[:, free], wanted, bounds=bounds).x / unit[free]
+        return np.clip(change, *room)
