@@ -17,6 +17,7 @@ KEEPING_TIME = ("bus", "matrix", "run", "wire")
 """Folders whose tests run devices and hosts in real time: never two of them at once."""
 
 
+@pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Share the tests out by file; those that keep time are one share, which begins first."""
     items.sort(key=lambda item: item.path.parent.name not in KEEPING_TIME)
