@@ -5,9 +5,12 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
+from xdist.scheduler import LoadScopeScheduling
 
 PATIENCE = 5.0
 # kept by the standard library for the life of the process, once a process pool was used
@@ -17,13 +20,17 @@ KEEPING_TIME = ("bus", "matrix", "run", "wire")
 """Folders whose tests run devices and hosts in real time: never two of them at once."""
 
 
-@pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Share the tests out by file; those that keep time are one share, which begins first."""
-    items.sort(key=lambda item: item.path.parent.name not in KEEPING_TIME)
-    for item in items:
-        timed = item.path.parent.name in KEEPING_TIME
-        item.add_marker(pytest.mark.xdist_group("in real time" if timed else item.path.name))
+class ByFile(LoadScopeScheduling):
+    """Shares the tests out by file; those that keep time are one share."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        path = nodeid.partition("::")[0]
+        return "in real time" if Path(path).parent.name in KEEPING_TIME else path
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> ByFile:
+    """How two processes divide the work."""
+    return ByFile(config, log)
 
 
 @pytest.fixture(autouse=True)

@@ -95,6 +95,7 @@ def test_windows_of_different_length_are_simulated_as_they_are_by_themselves(rec
         assert np.array_equal(whole[together.owner == w], part)
 
 
+@pytest.mark.extended
 def test_a_package_brings_a_rig_kind_and_its_model(tmp_path: Path):
     (tmp_path / "tank_rig.py").write_text(PACKAGE)
     told = tmp_path / "tank_rig-1.0.dist-info"
