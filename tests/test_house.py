@@ -23,7 +23,9 @@ ANALYSIS = ("numba", "scipy.optimize", "matplotlib", "statsmodels")
 ACQUISITION = ("zenoh", "serial", "labhil.bus", "labhil.service", "labhil.experiment", "labhil.plants")
 
 
-@pytest.mark.parametrize("name", CHECKS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.extended if name == "mypy" else ()) for name in CHECKS]
+)
 @pytest.mark.timeout(300)
 def test_the_tree_is_in_order(name: str) -> None:
     command = [str(part) for part in CHECKS[name]]

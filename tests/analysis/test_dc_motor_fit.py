@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from labhil.identify.fit import fit
 from labhil.identify.further_channels import with_help
@@ -28,6 +29,7 @@ def record_of(*channels: str) -> Record:
     )
 
 
+@pytest.mark.extended
 def test_with_the_current_every_value_is_known():
     record = record_of("speed", "current")
     found = fit(model_for(default_rig("dc_motor"), record), record, TERMS)

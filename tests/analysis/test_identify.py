@@ -38,7 +38,7 @@ def blank(n: int, period: float = 0.01) -> Record:
 
 @pytest.fixture(scope="module")
 def fitted(model: BallBeamModel, acquire):
-    record = acquire(TERMS, 11, duration=40.0)
+    record = acquire(TERMS, 11, duration=30.0)
     test = acquire(TERMS, 12, duration=24.0, frequencies=(0.28, 0.39))
     return fit(model, record, TERMS, test=test)
 

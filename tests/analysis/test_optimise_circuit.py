@@ -10,6 +10,8 @@ from labhil.optimise.circuit import force_curves, positions
 from labhil.optimise.geometry import HOUSING, LEVELS, LOWER, ORIGINAL, SHOWN, TEXT_OPTIMUM, UPPER
 from labhil.optimise.steel import FREE_CUTTING, MU0, Steel, flux_density, magnetised, magnetised_all
 
+pytestmark = pytest.mark.extended
+
 CENTRE = LEVELS[:, 2]
 UNSATURATED = Steel(1e4, 1e4 / (2000.0 * MU0))
 """Linear, with a relative permeability of 2000, as far as these tests go."""

@@ -13,6 +13,8 @@ from labhil.optimise.field_mesh import Section, graded
 from labhil.optimise.geometry import HOUSING, ORIGINAL, TEXT_OPTIMUM
 from labhil.optimise.steel import FREE_CUTTING, MU0, Steel, flux_density
 
+pytestmark = pytest.mark.extended
+
 SHEET = 30e3
 """Current per length of the long coil, A/m."""
 

@@ -72,6 +72,7 @@ def record() -> Record:
     return Record(period * np.arange(n), pump[:, None], measured[:, None], ("pump",), ("level",), ("m",))
 
 
+@pytest.mark.extended
 def test_a_stated_right_hand_side_is_fitted_and_its_scale_is_told_to_be_unknown(record):
     model = TANK(default_rig("ball_beam"))
     result = fit(model, record, ("leak",), options=Options(window=15.0, estimator="nlse"))

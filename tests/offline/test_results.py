@@ -121,6 +121,7 @@ def test_a_fit_begins_at_the_model_that_it_is_given(fit, tmp_path):
         assert abs(after["value"] - before["value"]) < 0.5 * before["std_error"]
 
 
+@pytest.mark.extended
 def test_the_same_fit_twice_gives_the_same_numbers(fit):
     one, _ = fit("--terms", TERMS)
     two, _ = fit("--terms", TERMS)
