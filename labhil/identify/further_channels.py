@@ -11,6 +11,7 @@ import numpy as np
 from labhil.identify.fitted import Fitted, covariances
 from labhil.identify.identifiability import Identifiability, identifiability, what_would_help
 from labhil.identify.problem import Point, Problem
+from labhil.identify.sensitivities import sensitivities
 from labhil.physics.model import Record, index_of, start_values
 from labhil.physics.rigs import model_for
 from labhil.physics.terms import Parameter
@@ -62,8 +63,7 @@ def _with_channel(rig: RigFile, fitted: Fitted, signal: Signal) -> Identifiabili
     further = replace(further, outputs=measured)
     problem = Problem(model, further, old.windows, free, theta, sigma)
     point = Point(theta[free] / problem.scale, states)
-    lin = problem.linearise(point, problem.residuals(point), central=True)
-    jacobian = problem.project(lin, lin.by_parameters) / problem.scale
+    jacobian = sensitivities(problem, point, problem.residuals(point), 1.0) / problem.scale
     return identifiability([model.parameters[i] for i in free], theta[free], jacobian, 1.0)
 
 

@@ -16,6 +16,7 @@ from scipy import stats
 from labhil.errors import UnknownNameError
 from labhil.identify.least_squares import Solution, least_squares, search_states
 from labhil.identify.problem import Point, Problem
+from labhil.identify.sensitivities import sensitivities
 from labhil.identify.statistics import ALPHA, bandwidth, inverse_information
 from labhil.signals import FloatArray
 
@@ -175,8 +176,6 @@ def cramer_rao(problem: Problem, point: Point) -> FloatArray:
 
     Residuals are in units of the noise of ``problem.sigma``; free initial states are projected out.
     """
-    residuals = problem.residuals(point)
-    lin = problem.linearise(point, residuals, central=True)
-    jacobian = problem.project(lin, lin.by_parameters) / problem.scale
+    jacobian = sensitivities(problem, point, problem.residuals(point), 1.0) / problem.scale
     unit = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
     return np.asarray(np.sqrt(np.diag(inverse_information(jacobian / unit))) / unit)

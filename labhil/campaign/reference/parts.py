@@ -21,6 +21,7 @@ from labhil.identify.intervals import Intervals
 from labhil.identify.least_squares import fit_states, least_squares
 from labhil.identify.linear import Orders, linear_study
 from labhil.identify.problem import Point, Problem
+from labhil.identify.sensitivities import sensitivities
 from labhil.identify.statistics import inverse_information
 from labhil.physics.model import index_of
 from labhil.physics.terms import keyed
@@ -191,9 +192,8 @@ def bounds_of(study: Study, problem: Problem, truth: Point) -> tuple[Bounds, Bou
     As ``identify.intervals.cramer_rao``, for sums of parameters. Where the data leave a scale open one row
     is held: what does not depend on that scale is then known as well as with it free.
     """
-    lin = problem.linearise(truth, problem.residuals(truth), central=True)
     keys = [problem.model.parameters[i].key for i in problem.free]
-    slopes = problem.project(lin, lin.by_parameters) / problem.scale
+    slopes = sensitivities(problem, truth, problem.residuals(truth), 1.0) / problem.scale
     by_row = study.levels.jacobian(slopes, keys)
     if study.held:
         return _with_one_held(study, by_row)

@@ -17,6 +17,8 @@ def differential_evolution(
     """Storn and Price's differential evolution (scipy: best/1/bin), without its polish."""
     from scipy import optimize
 
+    # scipy rounds a start on the very edge of its box to beyond it
+    edge = 1e-9 * (ledger.box.upper - ledger.box.lower)
     optimize.differential_evolution(
         ledger.one,
         list(zip(ledger.box.lower, ledger.box.upper, strict=True)),
@@ -25,7 +27,7 @@ def differential_evolution(
         tol=0.0,
         rng=np.random.default_rng(seed),
         polish=False,
-        x0=None if start is None else ledger.box.clip(start),
+        x0=None if start is None else np.clip(start, ledger.box.lower + edge, ledger.box.upper - edge),
         callback=lambda *_: ledger.enough(),
     )
     return ledger.found()
