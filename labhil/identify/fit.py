@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -189,13 +190,17 @@ def _first_rung(
     problem = Problem(model, record, windows, free_of(model, terms), begin, sigma)
     how.progress(f"searching by {how.estimator}")
     found = search(problem, how.estimator, seed=how.seed, progress=how.progress)
-    searched = fit_terms(model, record, terms, lengths[0], sigma, start=found.theta, new_terms=())
-    searched.problem.evaluations += problem.evaluations
-    if how.estimator != DEFAULT or searched.noise < EXPLAINED:
-        return searched
-    best = searched.solution.cost
-    own = fit_terms(model, record, terms, lengths[0], sigma, start=begin, new_terms=fresh, hopeless=best)
-    return own if own.solution.cost < best else searched
+    # widths are hardly known on short windows; they are scanned afterwards
+    begun = partial(fit_terms, model, record, terms, lengths[0], sigma, shapes=False)
+    # a scout tells whether the search ended in the right valley, before long work is spent there
+    scout = begun(start=found.theta, new_terms=(), hopeless=0.0)
+    if how.estimator == DEFAULT and scout.noise >= EXPLAINED:
+        own = begun(start=begin, new_terms=fresh, hopeless=scout.solution.cost)
+        if own.solution.cost < scout.solution.cost:
+            return own
+    searched = begun(start=scout.theta, states=scout.solution.point.states, new_terms=())
+    searched.problem.evaluations += problem.evaluations + scout.problem.evaluations
+    return searched
 
 
 def _window_estimate(fitted: Fitted, length: float) -> WindowEstimate:

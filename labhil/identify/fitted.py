@@ -75,6 +75,7 @@ def fit_terms(
     iterations: int = 60,
     thorough: bool = True,
     hopeless: float = float("inf"),
+    shapes: bool = True,
 ) -> Fitted:
     """Fit a set of terms from several starts and keep the best.
 
@@ -82,11 +83,12 @@ def fit_terms(
     same windows under a model close by; the ``new_terms`` (default: all) begin at each of their own
     starts. Scouts go a few steps from each, the best goes on to the end; ``thorough`` gives outlying
     windows a second chance there. When no scout comes below the cost ``hopeless``, the best scout is
-    the answer.
+    the answer. Without ``shapes`` widths such as the Stribeck velocity stay where they begin.
     """
     begin = start_theta(model) if start is None else start
     windows = fit_windows(record, window)
-    free = free_of(model, terms)
+    every = free_of(model, terms)
+    free = every if shapes else every[[not model.parameters[i].shape for i in every]]
     best: tuple[Problem, Solution] | None = None
     starts = starts_with(model, record, begin, terms if new_terms is None else new_terms)
     for theta in starts:
@@ -103,7 +105,13 @@ def fit_terms(
         solution = least_squares(
             problem, solution.point, iterations=iterations, settled=True, thorough=thorough
         )
-    return Fitted(tuple(terms), problem.theta(solution.point.z), problem, solution)
+    theta = problem.theta(solution.point.z)
+    if not shapes:
+        whole = Problem(model, record, windows, every, theta, sigma)
+        whole.evaluations = problem.evaluations
+        solution = replace(solution, point=Point(whole.start().z, solution.point.states))
+        problem = whole
+    return Fitted(tuple(terms), theta, problem, solution)
 
 
 def starts_with(model: Model, record: Record, begin: FloatArray, terms: Sequence[str]) -> list[FloatArray]:

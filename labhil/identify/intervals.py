@@ -154,6 +154,8 @@ def _crossing(
         if abs(rise - 1.0) < CLOSE or (z != wanted and rise < 1.0):
             break
         step *= float(np.clip(1.0 / max(rise, 1e-3), 0.4, 2.5))
+        # a refit that went too far may have fallen into a worse minimum
+        near = solution.point if rise > 1.0 else near
     return z
 
 

@@ -83,7 +83,7 @@ def friction_terms(force: str, length: str, level: float, speed: float) -> tuple
                     velocity,
                     0.1 * speed,
                     5e-4 * speed,
-                    3.0 * speed,
+                    10.0 * speed,
                     starts=(0.2, 0.05, 0.8),
                     of=Yardstick.SPEED,
                     shape=True,

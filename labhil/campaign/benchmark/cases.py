@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.signal import lfilter
 
+from labhil.campaign.benchmark import arm
+from labhil.campaign.benchmark.noise import noise_like
 from labhil.campaign.benchmark.trial import Case, Simulated
 from labhil.kinds import KINDS
 from labhil.physics.model import Record
 from labhil.plants.ball_beam import BallBeamPlant
 from labhil.plants.rigs import plant_of
 from labhil.signals import FloatArray
-
-COLOUR = 0.7
 
 BALL_BEAM_TRUTH: Mapping[str, float] = {
     "viscous_friction.coefficient": 0.26,
@@ -58,14 +57,6 @@ def held_ball(
         y[i] = STEP * np.rint((plant.position + noise[i]) / STEP)
         slope = forget * slope + (1.0 - forget) * (y[i] - y[i - 1]) / plant.period
     return Record(t, u[:, None], y[:, None], ("servo_angle",), ("ball_position",), ("m",))
-
-
-def noise_like(n: int, sigma: float, coloured: bool, random: np.random.Generator) -> FloatArray:
-    """White noise (n,) of this standard deviation, or coloured: AR(1), neighbours correlated by 0.7."""
-    white = random.standard_normal(n)
-    if not coloured:
-        return np.asarray(sigma * white)
-    return np.asarray(sigma * lfilter([np.sqrt(1.0 - COLOUR**2)], [1.0, -COLOUR], white))
 
 
 def ball_beam(seed: int, coloured: bool) -> Simulated:
@@ -246,5 +237,6 @@ CASES: Mapping[str, Case] = {
             SOLENOID_TRUTH,
             solenoid,
         ),
+        Case("ur5", arm.RIG, arm.TERMS, arm.ABSENT, arm.TRUTH, arm.arm),
     )
 }

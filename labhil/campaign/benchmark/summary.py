@@ -129,12 +129,9 @@ def _total(shares: Sequence[Share]) -> Share:
 
 
 def _absent_kept(trials: Sequence[Trial]) -> Share:
-    with_absent = [trial for trial in trials if trial.absent]
-    kept = sum(
-        any(row.significant for row in trial.rows if row.key.startswith(trial.absent))
-        for trial in with_absent
-    )
-    return Share(kept, len(with_absent))
+    """Parameters of the term that is not there, each joint's by itself, kept as significant."""
+    absent = [row for t in trials if t.absent for row in t.rows if row.key.startswith(f"{t.absent}.")]
+    return Share(sum(row.significant for row in absent), len(absent))
 
 
 def _present_kept(trials: Sequence[Trial], case: Case) -> Share:
