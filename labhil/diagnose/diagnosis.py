@@ -18,6 +18,7 @@ from labhil.identify.statistics import Estimate
 from labhil.identify.table import table_of
 from labhil.identify.windows import noise_of
 from labhil.physics.model import Model, Record, index_of
+from labhil.physics.terms import keyed
 
 SEARCH_WINDOW_IN_HORIZONS = 0.375
 FIRST_WINDOW_IN_HORIZONS = 0.1875
@@ -137,8 +138,10 @@ def diagnose(
     found = search(data, base, progress)
     progress("scores, intervals and exclusion limits")
     base = found.baseline
-    before = score(model, base.theta, held_out, data.test_sigma)
-    after = score(model, found.final.theta, held_out, data.test_sigma) if found.missing else before
+    # the same windows before and after
+    horizon = model.horizon_at(found.final.theta)
+    before = score(model, base.theta, held_out, data.test_sigma, horizon)
+    after = score(model, found.final.theta, held_out, data.test_sigma, horizon) if found.missing else before
     final = table_of(found.final).rows
     changed = _changes(model, base, found, reference)
     return Diagnosis(
@@ -207,16 +210,25 @@ def _location(found: Found, before: Score, after: Score, held_out: Record) -> lo
         return None
     model = found.final.problem.model
     strongest = model.terms[found.missing[0].terms[0]]
-    lives = [pair for step in found.missing for pair in locate.where(found.final, step.terms[0])]
-    channel = found.final.problem.record.output_names[0]
+    shares = {step.terms[0]: locate.contribution(found.final, step.terms[0]) for step in found.missing}
+    regimes = {term: share.regimes() for term, share in shares.items()}
+    channel, joint = _channel(before, after)
+    units = {name: unit for share in shares.values() for name, unit in share.units.items()}
     return locate.Location(
         channel=channel,
-        joint=None,
+        joint=joint,
         enters=strongest.enters.value,
         times=locate.times(before, after, held_out.t),
-        regimes=tuple(regime for _, regime in lives),
-        statement=locate.statement(channel, strongest.name, strongest.enters.value, lives),
+        regimes=tuple(regime for found in regimes.values() for regime in found),
+        statement=locate.statement(keyed(channel, joint), strongest, regimes, units),
     )
+
+
+def _channel(before: Score, after: Score) -> tuple[str, int | None]:
+    """The output that gains most, in units of its noise floor."""
+    gains = [(b.mse - a.mse) / a.noise_floor**2 for b, a in zip(before.channels, after.channels, strict=True)]
+    most = before.channels[int(np.argmax(gains))]
+    return most.channel, most.joint
 
 
 def _missing(model: Model, step: Step, found: Found, final: list[Estimate]) -> Missing:

@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score
+from labhil.physics.model import Model
+from labhil.physics.terms import Term
 from labhil.signals import FloatArray
 
 SHARE = 0.8
+"""Of the excess squared error that a regime has to hold."""
+
 BINS = 40
-COORDINATE_UNITS = {
-    "ball_position": "m",
-    "ball_velocity": "m/s",
-    "servo_angle": "rad",
-    "beam_angle": "rad",
-    "servo_angle_rate": "rad/s",
-    "beam_angle_rate": "rad/s",
-}
+MOST_SAMPLES = 0.6
+"""Share of the samples beyond which a regime says nothing."""
+
+MOST_RUNS = 3
+"""Stretches of a coordinate that people can keep in mind."""
+
+CLEARER = 0.8
+"""A coordinate comes before an earlier one when its regime has at most this share of that one's samples."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,61 +49,129 @@ class Location:
     statement: str
 
 
-def contribution(final: Fitted, term: str) -> tuple[Mapping[str, FloatArray], FloatArray]:
-    """Coordinates along the model's windows, and the effort that one of its terms contributes there, (N,).
+@dataclass(frozen=True, slots=True)
+class Contribution:
+    """What one term adds along the motion of a fitted model, (N,), and the ``coordinates`` there, (N,) each.
 
-    A term on the way in changes what the same effort law is fed with; one on the way out contributes
-    no effort at all.
+    ``unit`` is that of the place where it acts. ``joint`` is the one that it acts on most, where there are
+    several.
+    """
+
+    values: FloatArray
+    coordinates: Mapping[str, FloatArray]
+    units: Mapping[str, str]
+    joint: int | None
+
+    def regimes(self) -> tuple[Regime, ...]:
+        """Where most of it lives, as one to three stretches of one coordinate; none if it is everywhere."""
+        return regimes({name: self.coordinates[name] for name in self.units}, self.values**2)
+
+
+def contribution(final: Fitted, term: str) -> Contribution:
+    """What a term of the model contributes where it acts, with the motion as it is.
+
+    A force as a difference of forces; what acts on the way in as the force that it changes, or else as what
+    drives the motion; what acts on the way out as a difference of readings.
     """
     model, problem = final.problem.model, final.problem
-    states = final.solution.point.states
-    less = final.theta.copy()
+    record, windows, states = problem.record, problem.windows, final.solution.point.states
+    less = without_sizes(model, final.theta, term)
+    along = model.coordinates(final.theta, record, windows, states)
+    driven = model.driven(less, record, windows, along)
+    values = model.effort(final.theta, along) - model.effort(less, {**along, **driven})
+    if not np.any(values) and driven:
+        values = np.column_stack([along[name] - driven[name] for name in driven])
+    if not np.any(values):
+        values = model.simulate(final.theta, record, windows, states)
+        values = values - model.simulate(less, record, windows, states)
+    return _of_one_joint(model, values.reshape(len(windows.rows), -1), along, model.terms[term].joint)
+
+
+def without_sizes(model: Model, theta: FloatArray, term: str) -> FloatArray:
+    """The vector with a term's sizes at neutral; what builds on the term keeps its own."""
+    less = theta.copy()
     for i, parameter in enumerate(model.parameters):
         if parameter.term == term and not parameter.shape:
             less[i] = 0.0
-    whole = model.coordinates(final.theta, problem.record, problem.windows, states)
-    path = model.coordinates(less, problem.record, problem.windows, states)
-    fed = {**whole, "beam_sine": path["beam_sine"], "beam_rate": path["beam_rate"]}
-    return whole, model.effort(final.theta, whole) - model.effort(less, fed)
+    return less
 
 
-def where(final: Fitted, term: str) -> list[tuple[str, Regime]]:
-    """The term with the sharpest regime of its contribution, if it has any."""
-    coordinates, effort = contribution(final, term)
-    return [(term, regime) for regime in regimes(coordinates, effort**2)[:1]]
+def _of_one_joint(
+    model: Model, values: FloatArray, along: Mapping[str, FloatArray], joint: int | None
+) -> Contribution:
+    """The column of the joint that is acted on, with that joint's coordinates where they are told apart."""
+    strongest = int(np.argmax(np.sum(values**2, axis=0)))
+    column = joint if joint is not None and joint < values.shape[1] else strongest
+    units = {}
+    for name in along:
+        whole, _, number = name.rpartition("_")
+        if name in model.coordinate_units:
+            units[name] = model.coordinate_units[name]
+        elif whole in model.coordinate_units and number == str(column):
+            units[name] = model.coordinate_units[whole]
+    several = values.shape[1] > 1
+    return Contribution(values[:, column], along, units, column if several else None)
 
 
 def regimes(coordinates: Mapping[str, FloatArray], excess: FloatArray) -> tuple[Regime, ...]:
-    """The smallest stretch of each coordinate that holds 80 % of ``excess`` (N,), the sharpest first.
+    """The stretches of one coordinate that hold 80 % of ``excess`` (N,) with the fewest samples.
 
-    Only coordinates along which it holds clearly fewer than 60 % of the samples are named.
+    Coordinates come in the order of their importance. None is named along which the excess takes 60 % of the
+    samples or more.
     """
-    found = []
+    best: tuple[float, tuple[Regime, ...]] = (MOST_SAMPLES, ())
     for name, values in coordinates.items():
-        if name not in COORDINATE_UNITS or np.ptp(values) <= 0:
+        if np.ptp(values) <= 0.0 or not np.any(excess):
             continue
-        low, high, samples = _smallest_stretch(values, excess)
-        inside = (values >= low) & (values <= high)
-        share = float(excess[inside].sum() / max(float(excess.sum()), 1e-300))
-        if samples < 0.6:
-            found.append((samples, Regime(name, low, high, share)))
-    return tuple(regime for _, regime in sorted(found, key=lambda item: item[0]))
+        samples, stretches = _densest(values, excess)
+        needed = best[0] if not best[1] else CLEARER * best[0]
+        if samples < needed:
+            total = float(excess.sum())
+            found = tuple(
+                Regime(name, low, high, float(excess[(values >= low) & (values <= high)].sum()) / total)
+                for low, high in stretches
+            )
+            best = (samples, found)
+    return best[1]
 
 
-def _smallest_stretch(values: FloatArray, excess: FloatArray) -> tuple[float, float, float]:
-    """Bounds of the contiguous run of bins with the fewest samples that holds the share, and that share."""
+def _densest(values: FloatArray, excess: FloatArray) -> tuple[float, list[tuple[float, float]]]:
+    """Share of the samples in the densest stretches that hold the share, and their bounds.
+
+    Bins of equally many samples are taken in the order of their density, and gaps filled until few runs are
+    left.
+    """
     edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, BINS + 1)))
     place = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
     weight = np.bincount(place, excess, len(edges) - 1)
-    count = np.bincount(place, minlength=len(edges) - 1) / len(values)
-    total = float(weight.sum())
-    best = (float(edges[0]), float(edges[-1]), 1.0)
-    sums, counts = np.r_[0.0, np.cumsum(weight)], np.r_[0.0, np.cumsum(count)]
-    for i in range(len(edges) - 1):
-        j = int(np.searchsorted(sums, sums[i] + SHARE * total))
-        if j < len(edges) and counts[j] - counts[i] < best[2]:
-            best = (float(edges[i]), float(edges[j]), float(counts[j] - counts[i]))
-    return best
+    count = np.bincount(place, minlength=len(edges) - 1)
+    chosen = np.zeros(len(weight), dtype=bool)
+    for k in np.argsort(-weight / np.maximum(count, 1)):
+        if weight[chosen].sum() >= SHARE * weight.sum():
+            break
+        chosen[k] = True
+    chosen = _in_few_runs(chosen, count)
+    begins, ends = _runs(chosen)
+    stretches = [(float(edges[a]), float(edges[b])) for a, b in zip(begins, ends, strict=True)]
+    return float(count[chosen].sum() / len(values)), stretches
+
+
+def _in_few_runs(chosen: np.ndarray, count: np.ndarray) -> np.ndarray:
+    """The gaps of the fewest samples between chosen bins filled until at most three runs are left."""
+    while True:
+        begins, ends = _runs(chosen)
+        narrow = [k for k in range(len(begins) - 1) if begins[k + 1] - ends[k] <= 1]
+        if len(begins) <= MOST_RUNS and not narrow:
+            return chosen
+        gaps = [count[ends[k] : begins[k + 1]].sum() for k in range(len(begins) - 1)]
+        k = narrow[0] if narrow else int(np.argmin(gaps))
+        chosen[ends[k] : begins[k + 1]] = True
+
+
+def _runs(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First bin of every run of chosen bins, and the one after its last."""
+    steps = np.diff(np.r_[0, chosen.astype(np.int64), 0])
+    return np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
 
 
 def times(before: Score, after: Score, t: FloatArray, most: int = 5) -> tuple[tuple[float, float], ...]:
@@ -118,14 +190,17 @@ def times(before: Score, after: Score, t: FloatArray, most: int = 5) -> tuple[tu
     return tuple(spans)
 
 
-def statement(channel: str, strongest: str, enters: str, lives: Sequence[tuple[str, Regime]]) -> str:
+def statement(
+    channel: str, strongest: Term, regimes: Mapping[str, tuple[Regime, ...]], units: Mapping[str, str]
+) -> str:
     """One plain sentence: which effect is the strongest, where it enters, and where an effect lives."""
-    begin = f"What {channel} is off by enters by the {enters} (most of it {strongest})"
-    if not lives:
+    begin = f"What {channel} is off by enters by the {strongest.enters.value} (most of it {strongest.key})"
+    named = next(((term, found) for term, found in regimes.items() if found), None)
+    if named is None:
         return f"{begin} and is spread over all regimes that were visited."
-    term, regime = lives[0]
-    unit = COORDINATE_UNITS[regime.coordinate]
-    return (
-        f"{begin}; {regime.share_of_excess:.0%} of {term} lives at {regime.coordinate} "
-        f"between {regime.low:.3g} and {regime.high:.3g} {unit}."
-    )
+    term, stretches = named
+    share = sum(regime.share_of_excess for regime in stretches)
+    unit = units.get(stretches[0].coordinate, "")
+    between = " or ".join(f"between {r.low:.3g} and {r.high:.3g}" for r in stretches)
+    lives = f"{share:.0%} of {term} lives at {stretches[0].coordinate} {between} {unit}".rstrip()
+    return f"{begin}; {lives}."

@@ -136,7 +136,8 @@ def covariances(fitted: Fitted) -> tuple[FloatArray, FloatArray, FloatArray]:
     unit = np.linalg.norm(jacobian, axis=0)
     unit[unit == 0.0] = 1.0
     scaled = jacobian / unit
-    robust = statistics.robust_covariance(scaled, solution.residuals, fitted.dof)
+    channels = len(problem.sigma)
+    robust = statistics.robust_covariance(scaled, solution.residuals, fitted.dof, channels)
     inverse = statistics.inverse_information(scaled)
     lost = np.linalg.norm(jacobian, axis=0) == 0.0
     for matrix in (robust, inverse):

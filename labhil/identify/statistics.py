@@ -5,8 +5,10 @@ taken out) and residuals r, both in units of noise,
 
     C = (JᵀJ)⁻¹ · S · (JᵀJ)⁻¹,   S = Γ₀ + Σ_l w_l·(Γ_l + Γ_lᵀ),   Γ_l = Σ_t J_t r_t r_{t−l} J_{t−l}ᵀ
 
-with Bartlett's weights (Newey and West 1987) and Andrews' (1991) bandwidth. Negative correlation is
-not allowed to shrink a variance below the classical σ̂²(JᵀJ)⁻¹.
+with Bartlett's weights (Newey and West 1987) and Andrews' (1991) bandwidth, which lets the spread of the
+residuals change with the regime but is biased low on short records; and, where it says more, the same with
+the autocovariance of an autoregressive model of each channel in the place of r_t r_{t−l}. Negative
+correlation is not allowed to shrink a variance below the classical σ̂²(JᵀJ)⁻¹.
 """
 
 from __future__ import annotations
@@ -16,12 +18,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
+from scipy.linalg import solve_toeplitz
 
 from labhil.physics.terms import Parameter
 from labhil.signals import FloatArray
 
 ALPHA = 0.01
 FAINTEST = 1e-9
+
+MOST_ORDERS = 10
+FADED = 0.01
+"""Share of the variance below which an autocovariance is left out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,23 +54,34 @@ class Estimate:
     at_bound: bool
 
 
-def robust_covariance(jacobian: FloatArray, residuals: FloatArray, dof: int) -> FloatArray:
+def robust_covariance(jacobian: FloatArray, residuals: FloatArray, dof: int, channels: int = 1) -> FloatArray:
     """Covariance (P, P) of least-squares estimates whose residuals (N,) may be correlated in time.
 
-    ``jacobian`` (N, P) is the projected one; ``dof`` the residual degrees of freedom.
+    ``jacobian`` (N, P) is the projected one; ``dof`` the residual degrees of freedom. Rows are those of the
+    ``channels`` of one sample after the other.
     """
     n = len(residuals)
     inverse = inverse_information(jacobian)
     classical = inverse * float(residuals @ residuals) / dof
-    scores = jacobian * residuals[:, None]
+    # what counts in time are samples: their channels are added up
+    scores = (jacobian * residuals[:, None]).reshape(n // channels, channels, -1).sum(axis=1)
     robust = inverse @ long_run_variance(scores) @ inverse * (n / dof)
+    modelled = inverse @ modelled_variance(jacobian, residuals, channels) @ inverse * (n / dof)
+    robust = _at_least(modelled, robust)
     least, found = np.diag(classical), np.diag(robust)
     lost = ~(found > 1e-12 * least)
     # rounding may leave nothing, or less, of a direction that the data do not know
     robust[lost, :] = robust[:, lost] = 0.0
     robust[lost, lost] = least[lost]
-    shortfall = np.sqrt(np.maximum(1.0, least / np.maximum(np.diag(robust), 1e-300)))
-    return np.asarray(robust * np.outer(shortfall, shortfall))
+    return _at_least(robust, classical)
+
+
+def _at_least(covariance: FloatArray, other: FloatArray) -> FloatArray:
+    """A covariance (P, P) whose variances are raised, correlations kept, to those of another one."""
+    wanted = np.diag(other)
+    there = np.maximum(np.diag(covariance), 1e-24 * wanted + 1e-300)
+    shortfall = np.sqrt(np.maximum(1.0, wanted / there))
+    return np.asarray(covariance * np.outer(shortfall, shortfall))
 
 
 def inverse_information(jacobian: FloatArray) -> FloatArray:
@@ -86,6 +104,42 @@ def long_run_variance(scores: FloatArray) -> FloatArray:
         cross = scores[lag:].T @ scores[:-lag]
         total = total + weight * (cross + cross.T)
     return np.asarray(total)
+
+
+def modelled_variance(jacobian: FloatArray, residuals: FloatArray, channels: int) -> FloatArray:
+    """Covariance (P, P) of JᵀR where each channel's residuals are an autoregression of themselves.
+
+    Its order, up to 10, is that of the least AIC; channels are taken as independent.
+    """
+    total = np.zeros((jacobian.shape[1], jacobian.shape[1]))
+    for channel in range(channels):
+        own, columns = residuals[channel::channels], jacobian[channel::channels]
+        covariance = autocovariance(own)
+        total += covariance[0] * columns.T @ columns
+        for lag in range(1, len(covariance)):
+            cross = columns[lag:].T @ columns[:-lag]
+            total += covariance[lag] * (cross + cross.T)
+    return total
+
+
+def autocovariance(residuals: FloatArray) -> FloatArray:
+    """Autocovariances (lags + 1,) of an autoregression fitted to residuals (n,), as far as they matter."""
+    n = len(residuals)
+    orders = min(MOST_ORDERS, n // 10)
+    power = float(residuals @ residuals) / n
+    if power <= 0.0 or orders < 1:
+        return np.array([power])
+    measured = np.array([residuals[: n - lag] @ residuals[lag:] for lag in range(orders + 1)]) / n
+    best, weights, score = 0, np.empty(0), n * np.log(power)
+    for order in range(1, orders + 1):
+        tried = solve_toeplitz(measured[:order], measured[1 : order + 1])
+        left = measured[0] - float(tried @ measured[1 : order + 1])
+        if left > 0.0 and n * np.log(left) + 2.0 * order < score:
+            best, weights, score = order, tried, n * np.log(left) + 2.0 * order
+    found = list(measured[: best + 1])
+    while best and len(found) < n // 4 and max(abs(x) for x in found[-best:]) > FADED * power:
+        found.append(float(weights @ found[: -best - 1 : -1]))
+    return np.array(found)
 
 
 def bandwidth(scores: FloatArray) -> int:

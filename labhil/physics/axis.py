@@ -127,6 +127,12 @@ class AxisModel:
     """
 
     kind = "axis"
+    coordinate_units: Mapping[str, str] = {
+        "position": "m",
+        "axis_velocity": "m/s",
+        "drive_force": "N",
+        "drive_voltage": "V",
+    }
     metric = Metric.WINDOWED_SIMULATION
     forgets = False
     state_names = ("position", "axis_velocity")
@@ -191,16 +197,24 @@ class AxisModel:
     ) -> Mapping[str, FloatArray]:
         """Position, velocity and input along the simulation."""
         motion = self._trajectory(theta, record, windows, states)
-        return {
+        along = {
             "position": motion[:, 0],
             "axis_velocity": motion[:, 1],
             record.input_names[0]: record.inputs[windows.rows, 0],
         }
+        return {**along, **self.driven(theta, record, windows, along)}
+
+    def driven(
+        self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
+    ) -> Mapping[str, FloatArray]:
+        """What is left of the drive behind the way in."""
+        nodes, values = self._path.nodes(record, 0, lambda name: self._values.of(theta, name))
+        return {"acting_drive": np.interp(record.t[windows.rows], nodes, values)}
 
     def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """Force on the moving mass at these coordinates, N; zero where it rests."""
         x, v = coordinates["position"], coordinates["axis_velocity"]
-        u = next(values for name, values in coordinates.items() if name.startswith("drive_"))
+        u = coordinates["acting_drive"]
         part, law = self._part(theta), self._values.friction_law(theta, self._mass(theta))
         return np.asarray(sliding.accelerations(u, x, v, self._table(theta), part, law) * self._mass(theta))
 

@@ -101,6 +101,14 @@ class BallBeamModel:
     """
 
     kind = "ball_beam"
+    coordinate_units: Mapping[str, str] = {
+        "ball_position": "m",
+        "ball_velocity": "m/s",
+        "servo_angle": "rad",
+        "beam_angle": "rad",
+        "servo_angle_rate": "rad/s",
+        "beam_angle_rate": "rad/s",
+    }
     state_names = ("ball_position", "ball_velocity")
     state_scale = np.array([0.01, 0.05])
     metric = Metric.WINDOWED_SIMULATION
@@ -157,19 +165,23 @@ class BallBeamModel:
     ) -> Mapping[str, FloatArray]:
         """Ball position and velocity along the simulation, and the input with its rate."""
         motion = self._trajectory(theta, record, windows, states)
-        nodes, angle = self._way_in(theta, record)
-        angle = np.interp(record.t, nodes, angle)
-        sine = self._ratio(theta) * np.sin(angle)
-        rate = np.gradient(np.arcsin(np.clip(sine, -1.0, 1.0)), record.t)
         u = record.inputs[:, 0]
-        return {
+        along = {
             "ball_position": motion[:, 0],
             "ball_velocity": motion[:, 1],
             record.input_names[0]: u[windows.rows],
             f"{record.input_names[0]}_rate": np.gradient(u, record.t)[windows.rows],
-            "beam_sine": sine[windows.rows],
-            "beam_rate": rate[windows.rows],
         }
+        return {**along, **self.driven(theta, record, windows, along)}
+
+    def driven(
+        self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
+    ) -> Mapping[str, FloatArray]:
+        """Sine of the beam's angle and its rate behind the way in."""
+        nodes, angle = self._way_in(theta, record)
+        sine = self._ratio(theta) * np.sin(np.interp(record.t, nodes, angle))
+        rate = np.gradient(np.arcsin(np.clip(sine, -1.0, 1.0)), record.t)
+        return {"beam_sine": sine[windows.rows], "beam_rate": rate[windows.rows]}
 
     def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """Acceleration of the ball times its effective mass, N (m/s² per unit of mass)."""

@@ -37,6 +37,13 @@ class DcMotorModel:
     """
 
     kind = "dc_motor"
+    coordinate_units: Mapping[str, str] = {
+        "shaft_velocity": "rad/s",
+        "shaft_angle": "rad",
+        "current": "A",
+        "voltage": "V",
+        "voltage_rate": "V/s",
+    }
     metric = Metric.WINDOWED_SIMULATION
     forgets = True
     state_names = ("shaft_velocity", "current")
@@ -107,13 +114,26 @@ class DcMotorModel:
         """Speed, current and voltage along the simulation."""
         motion = self._trajectory(theta, record, windows, states)
         u = record.inputs[:, 0]
-        return {
+        along = {
             "shaft_velocity": motion[:, 0],
             "shaft_angle": motion[:, 2],
             "current": motion[:, 1],
             "voltage": u[windows.rows],
             "voltage_rate": np.gradient(u, record.t)[windows.rows],
         }
+        return {**along, **self.driven(theta, record, windows, along)}
+
+    def driven(
+        self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
+    ) -> Mapping[str, FloatArray]:
+        """What drives the current, V: the voltage behind the way in, less brushes and R·i's share of warmth."""
+        node_t, voltage = self._path.nodes(record, 0, lambda name: self._values.of(theta, name))
+        u = np.interp(record.t[windows.rows], node_t, voltage)
+        u = u * (1.0 - self._values.of(theta, "supply_sag.coefficient") * np.abs(u))
+        warm = (self._warm(theta, record)[windows.rows] - 1.0) * self._values.of(theta, "resistance")
+        brushes = self._values.of(theta, "brush_drop.voltage")
+        across = np.clip(along["current"] / (BRUSH_WIDTH * self.sizes.current), -1.0, 1.0)
+        return {"acting_voltage": u - warm * along["current"] - brushes * across}
 
     def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """Torque on the rotor at these coordinates, N·m; zero where it rests."""

@@ -171,8 +171,23 @@ class Model(Protocol):
         """Physical coordinates (positions, velocities, inputs) along the simulation, each (N,)."""
         ...
 
+    @property
+    def coordinate_units(self) -> Mapping[str, str]:
+        """Units of those coordinates by which a person would say where a mismatch lives; a vector's by its
+        name alone."""
+        ...
+
+    def driven(
+        self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
+    ) -> Mapping[str, FloatArray]:
+        """Those of the coordinates that say how the motion ``along`` is driven, each (N,), by this ``theta``.
+
+        What effects on the way in, of the winding or of a load change, with the motion as it is.
+        """
+        ...
+
     def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
-        """Generalised force (or acceleration) that the model exerts at these coordinates, (N,)."""
+        """Generalised force (or acceleration) that the model exerts there, (N,) or (N, joints)."""
         ...
 
     def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:

@@ -66,6 +66,8 @@ class RightHandSideModel:
         self.forgets = stated.forgets
         self.kind = rig.kind.name
         self.state_names = tuple(stated.states)
+        # what they are counted in is their author's matter
+        self.coordinate_units: Mapping[str, str] = dict.fromkeys(self.state_names, "")
         self.state_scale = np.array(list(stated.states.values()))
         self.terms: Mapping[str, Term] = {term.key: term for term in stated.terms}
         self.never_seen = stated.never_seen
@@ -104,6 +106,12 @@ class RightHandSideModel:
         x = self._trajectories(self._values(theta), record, windows, states)
         inputs = dict(zip(record.input_names, record.inputs[windows.rows].T, strict=True))
         return dict(zip(self.state_names, x, strict=True)) | inputs
+
+    def driven(
+        self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
+    ) -> Mapping[str, FloatArray]:
+        """Nothing: effects on the way in are the right-hand side's own matter."""
+        return {}
 
     def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """The last state's derivative at these coordinates, (N,)."""

@@ -140,6 +140,12 @@ class SolenoidModel:
     """
 
     kind = "solenoid"
+    coordinate_units: Mapping[str, str] = {
+        "plunger_position": "m",
+        "plunger_velocity": "m/s",
+        "coil_current": "A",
+        "coil_current_rate": "A/s",
+    }
     metric = Metric.WINDOWED_SIMULATION
     forgets = True
     state_names = ("plunger_position", "plunger_velocity")
@@ -222,16 +228,24 @@ class SolenoidModel:
         """Position, velocity, current and its rate along the simulation."""
         motion = self._trajectory(theta, record, windows, states)
         i = record.inputs[:, 0]
-        return {
+        along = {
             "plunger_position": motion[:, 0],
             "plunger_velocity": motion[:, 1],
             "coil_current": i[windows.rows],
             "coil_current_rate": np.gradient(i, record.t)[windows.rows],
         }
+        return {**along, **self.driven(theta, record, windows, along)}
+
+    def driven(
+        self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
+    ) -> Mapping[str, FloatArray]:
+        """The current that the force follows."""
+        nodes, current = self._field(theta, record)
+        return {"field_current": np.interp(record.t[windows.rows], nodes, current)}
 
     def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """Force on the plunger at these coordinates, N; zero where it rests."""
-        x, v, i = (coordinates[n] for n in ("plunger_position", "plunger_velocity", "coil_current"))
+        x, v, i = (coordinates[n] for n in ("plunger_position", "plunger_velocity", "field_current"))
         mass = self._values.of(theta, "moving_mass")
         part, law = self._part(theta), self._values.friction_law(theta, mass)
         return np.asarray(sliding.accelerations(i, x, v, self.map / mass, part, law) * mass)

@@ -15,6 +15,7 @@ from labhil.diagnose.diagnosis import Diagnosis
 from labhil.errors import UsageError
 from labhil.identify.score import Score
 from labhil.physics.model import Record
+from labhil.physics.terms import keyed
 from labhil.signals import FloatArray
 
 BEFORE, AFTER, MEASURED = "#c8553d", "#2a7f62", "#444444"
@@ -81,17 +82,20 @@ def _draw_missing(axes: Axes, diagnosis: Diagnosis) -> None:
         axes.set_axis_off()
         axes.text(0.5, 0.5, "nothing is missing", ha="center")
         return
-    lives = [pair for item in diagnosis.missing for pair in locate.where(diagnosis.final_fit, item.term)]
-    for i, item in enumerate(diagnosis.missing):
-        coordinates, effort = locate.contribution(diagnosis.final_fit, item.term)
-        name = lives[0][1].coordinate if lives else next(iter(coordinates))
-        axes.scatter(coordinates[name], effort, s=3, color=f"C{i}", alpha=0.4, lw=0, label=item.term)
-    if lives:
-        term, regime = lives[0]
-        label = f"{regime.share_of_excess:.0%} of {term}"
+    shares = {
+        key: locate.contribution(diagnosis.final_fit, key)
+        for key in (keyed(item.term, item.joint) for item in diagnosis.missing)
+    }
+    regimes = {term: share.regimes() for term, share in shares.items()}
+    term = next((term for term, found in regimes.items() if found), next(iter(shares)))
+    units = shares[term].units
+    name = regimes[term][0].coordinate if regimes[term] else next(iter(units))
+    for i, (key, share) in enumerate(shares.items()):
+        axes.scatter(share.coordinates[name], share.values, s=3, color=f"C{i}", alpha=0.4, lw=0, label=key)
+    for number, regime in enumerate(regimes[term]):
+        label = f"where most of {term} lives" if number == 0 else None
         axes.axvspan(regime.low, regime.high, color=BEFORE, alpha=0.15, label=label)
-    unit = locate.COORDINATE_UNITS.get(name, "")
-    finish(axes, "What the baseline leaves out", f"{name}, {unit}", "force of each missing effect")
+    finish(axes, "What the baseline leaves out", f"{name}, {units[name]}", "missing effect, where it acts")
 
 
 def _draw_histogram(axes: Axes, diagnosis: Diagnosis) -> None:

@@ -118,22 +118,33 @@ def test_the_stribeck_peak_lives_at_low_speed(dry):
 
 
 def test_the_contribution_of_a_term_is_its_law(dry):
-    coordinates, effort = locate.contribution(dry.final_fit, "stribeck_friction")
+    found = locate.contribution(dry.final_fit, "stribeck_friction")
     values = {row.name: row.value for row in dry.final}
-    v = coordinates["ball_velocity"]
+    v = found.coordinates["ball_velocity"]
     width = values["stribeck_friction.velocity"]
     expected = -values["stribeck_friction.level"] * np.exp(-np.abs(v) / width) * np.sign(v)
-    assert np.allclose(effort, expected, atol=1e-9)
+    assert np.allclose(found.values, expected, atol=1e-9)
+    assert found.units["ball_velocity"] == "m/s"
 
 
 def test_regimes_hold_four_fifths_of_the_excess_in_few_samples():
     x = np.linspace(-1.0, 1.0, 4001)
     excess = np.where(np.abs(x - 0.3) < 0.1, 1.0, 0.0)
-    (regime,) = locate.regimes({"ball_position": x, "unheard_of": x}, excess)
+    (regime,) = locate.regimes({"ball_position": x, "beside": x}, excess)
     assert regime.coordinate == "ball_position"
     assert (regime.low, regime.high) == pytest.approx((0.2, 0.4), abs=0.06)
     assert 0.8 <= regime.share_of_excess <= 1.0
     assert locate.regimes({"ball_position": x}, np.ones_like(x)) == ()
+
+
+def test_a_regime_may_be_in_two_stretches():
+    """What acts beyond a limit both ways lives at both ends."""
+    x = np.linspace(-1.0, 1.0, 4001)
+    low, high = locate.regimes({"x": x}, np.maximum(np.abs(x) - 0.8, 0.0) ** 2)
+    assert (low.low, high.high) == pytest.approx((-1.0, 1.0), abs=0.01)
+    assert low.high < -0.75
+    assert high.low > 0.75
+    assert low.share_of_excess + high.share_of_excess >= 0.8
 
 
 def test_correlated_residuals_are_worth_fewer():

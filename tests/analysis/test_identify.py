@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import lfilter
 from statsmodels.regression.linear_model import OLS
 
 from labhil.errors import RecordingError
@@ -111,9 +112,31 @@ def test_robust_covariance_is_newey_and_wests():
     model = OLS(x @ [1.0, 2.0] + noise, x).fit()
     reach = statistics.bandwidth(x * model.resid[:, None])
     theirs = model.get_robustcov_results("HAC", maxlags=reach, use_correction=False).cov_params() * 800 / 798
-    ours = statistics.robust_covariance(x, model.resid, 798)
+    inverse = statistics.inverse_information(x)
+    ours = inverse @ statistics.long_run_variance(x * model.resid[:, None]) @ inverse * 800 / 798
     assert np.allclose(ours, theirs, rtol=1e-6)
     assert reach > 3
+    assert np.all(np.diag(statistics.robust_covariance(x, model.resid, 798)) >= 0.999 * np.diag(theirs))
+
+
+def test_variance_of_a_mean_is_that_of_an_autoregression():
+    """Of a mean of n samples: σ²(1 + ρ)/(1 − ρ)/n, on average over many short records."""
+    random = np.random.default_rng(2)
+    noise = lfilter([1.0], [1.0, -0.7], random.standard_normal((200, 600)))[:, 100:]
+    ones = np.ones((500, 1))
+    found = [statistics.modelled_variance(ones, r - r.mean(), 1)[0, 0] / 500**2 for r in noise]
+    assert np.mean(found) == pytest.approx(1.0 / 0.3**2 / 500, rel=0.06)
+
+
+def test_channels_of_one_sample_are_one_moment():
+    """Two channels that rise and fall slowly together: their errors add up."""
+    random = np.random.default_rng(4)
+    slow = lfilter([1.0], [1.0, -0.9], random.standard_normal(2000))
+    both = np.repeat(slow, 2)
+    jacobian = np.ones((4000, 1))
+    alone = statistics.robust_covariance(np.ones((2000, 1)), slow, 1999)
+    together = statistics.robust_covariance(jacobian, both, 3999, 2)
+    assert 0.8 * alone[0, 0] < together[0, 0] < 1.1 * alone[0, 0]
 
 
 def test_whiteness_and_crosscorrelation_tell_null_from_signal():

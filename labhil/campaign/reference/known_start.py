@@ -90,6 +90,17 @@ class KnownStart:
         """Physical coordinates along the simulation, each (N,)."""
         return self._model.coordinates(theta, record, windows, self._known(windows))
 
+    @property
+    def coordinate_units(self) -> Mapping[str, str]:
+        """Units of the coordinates that people name."""
+        return self._model.coordinate_units
+
+    def driven(
+        self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
+    ) -> Mapping[str, FloatArray]:
+        """How the motion ``along`` is driven, each (N,)."""
+        return self._model.driven(theta, record, windows, along)
+
     def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """Generalised force that the model exerts at these coordinates, (N,)."""
         return self._model.effort(theta, coordinates)

@@ -47,6 +47,13 @@ class ArmModel:
     """
 
     kind = "ur5"
+    coordinate_units: Mapping[str, str] = {
+        "actual_q": "rad",
+        "actual_qd": "rad/s",
+        "acceleration": "rad/s²",
+        "load": "N·m",
+        "joint_temperatures": "°C",
+    }
     metric = Metric.INVERSE_DYNAMICS
     state_names: tuple[str, ...] = ()
     state_scale = np.empty(0)
@@ -169,15 +176,21 @@ class ArmModel:
         """Angle, velocity, acceleration, rigid-body torque (``load``), temperature of each joint, (N,)."""
         _, motion, rows = self._motion(record)
         at = rows[windows.rows]
-        load = self._rigid(theta, record)[windows.rows]
         columns = {
             "actual_q": motion.q[at],
             "actual_qd": motion.qd[at],
             "acceleration": motion.qdd[at],
-            "load": load,
             "joint_temperatures": motion.temperature[at],
         }
-        return {f"{name}_{j}": values[:, j] for name, values in columns.items() for j in range(JOINTS)}
+        along = {f"{name}_{j}": values[:, j] for name, values in columns.items() for j in range(JOINTS)}
+        return {**along, **self.driven(theta, record, windows, along)}
+
+    def driven(
+        self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
+    ) -> Mapping[str, FloatArray]:
+        """The rigid body's torque on each joint, N·m."""
+        load = self._rigid(theta, record)[windows.rows]
+        return {f"load_{j}": load[:, j] for j in range(JOINTS)}
 
     def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """Torque of each joint's drive at these coordinates in N·m, (N, 6), dry friction by sgn q̇."""
