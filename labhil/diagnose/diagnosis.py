@@ -17,8 +17,8 @@ from labhil.identify.score import Score, score
 from labhil.identify.statistics import Estimate
 from labhil.identify.table import table_of
 from labhil.identify.windows import noise_of
-from labhil.physics.model import Model, Record, index_of
-from labhil.physics.terms import keyed
+from labhil.physics.model import Model, Record, index_of, terms_named
+from labhil.physics.terms import keyed, unkeyed
 
 SEARCH_WINDOW_IN_HORIZONS = 0.375
 FIRST_WINDOW_IN_HORIZONS = 0.1875
@@ -132,7 +132,7 @@ def diagnose(
     window = SEARCH_WINDOW_IN_HORIZONS * model.horizon
     data = Data(model, searched, held_out, sigma, noise_of(held_out), window)
     progress(f"fitting the baseline: {', '.join(baseline)}")
-    base = _fit_baseline(data, baseline, reference)
+    base = _fit_baseline(data, [term.key for term in terms_named(model, baseline)], reference)
     if not _excited(searched, sigma):
         return _nothing_moves(data, base, heldout_is_test, began)
     found = search(data, base, progress)
@@ -195,7 +195,7 @@ def _changes(
     """Reference values that the refitted model contradicts at the level of the verdict."""
     if not reference:
         return ()
-    rows = {row.name: row for row in table_of(found.final).rows}
+    rows = {keyed(row.name, row.joint): row for row in table_of(found.final).rows}
     compared = [(rows[name], value) for name, value in reference.items() if name in rows]
     changes = []
     for row, value in compared:
@@ -232,15 +232,16 @@ def _channel(before: Score, after: Score) -> tuple[str, int | None]:
 
 
 def _missing(model: Model, step: Step, found: Found, final: list[Estimate]) -> Missing:
-    (name,) = step.terms
-    term = model.terms[name]
-    rows = [row for row in final if row.term == name]
+    (key,) = step.terms
+    term = model.terms[key]
+    rows = [row for row in final if (row.term, row.joint) == (term.name, term.joint)]
     sizes = ", ".join(f"{row.name.partition('.')[2]} = {row.value:.4g} {row.unit}" for row in rows)
-    rivals = [r for r in found.rivals if r.instead_of == name]
+    rivals = [r for r in found.rivals if r.instead_of == key]
+    at = "" if term.joint is None else f" of joint {term.joint}"
     return Missing(
-        term=name,
-        joint=None,
-        statement=f"The model leaves out {term.statement}: {sizes}.",
+        term=term.name,
+        joint=term.joint,
+        statement=f"The model leaves out {term.statement}{at}: {sizes}.",
         equation=term.equation,
         probability=_probability(0.0, rivals),
         parameters=rows,
@@ -256,20 +257,21 @@ def _probability(delta_bic: float, rivals: Sequence[Rival]) -> float:
 
 def _rival(model: Model, rival: Rival, found: Found) -> RivalTerm:
     same = [r for r in found.rivals if r.instead_of == rival.instead_of]
+    term = model.terms[rival.term]
     return RivalTerm(
-        term=rival.term,
+        term=term.name,
         instead_of=rival.instead_of,
-        joint=None,
+        joint=term.joint,
         probability=_probability(rival.delta_bic, same),
         delta_bic=rival.delta_bic,
         distinguishable=False,
-        experiment=f"excite with {model.terms[rival.term].revealed_by}",
+        experiment=f"excite with {term.revealed_by}",
     )
 
 
 def _undecided(model: Model) -> tuple[Undecided, ...]:
     """Terms of which no recording of this rig can speak, with the reason."""
-    return tuple(Undecided(name, None, (), reason) for name, reason in model.never_seen.items())
+    return tuple(Undecided(*unkeyed(key), (), reason) for key, reason in model.never_seen.items())
 
 
 def _excluded(data: Data, found: Found) -> tuple[Excluded, ...]:
@@ -279,11 +281,11 @@ def _excluded(data: Data, found: Found) -> tuple[Excluded, ...]:
     own = problem.project(lin, lin.by_parameters)
     noise = found.final.noise
     limits = []
-    for name, term in data.model.terms.items():
-        if name in found.final.terms:
+    for key, term in data.model.terms.items():
+        if key in found.final.terms:
             continue
         parameter = next(p for p in term.parameters if not p.shape)
-        column = _slope(found.final, parameter.name)
+        column = _slope(found.final, parameter.key)
         column = problem.project(lin, column[:, None])[:, 0]
         basis, _ = np.linalg.qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300))
         column = column - basis @ (basis.T @ column)
@@ -293,17 +295,17 @@ def _excluded(data: Data, found: Found) -> tuple[Excluded, ...]:
         value = -float(column @ solution.residuals) / power
         error = noise / np.sqrt(power)
         largest = (abs(value) + stats.norm.ppf(0.995) * error) * parameter.scale
-        limits.append(Excluded(name, None, float(largest), parameter.unit, 0.99))
+        limits.append(Excluded(term.name, term.joint, float(largest), parameter.unit, 0.99))
     return tuple(limits)
 
 
-def _slope(final: Fitted, name: str) -> np.ndarray:
+def _slope(final: Fitted, key: str) -> np.ndarray:
     """Change of the residuals per scale of a parameter at neutral, from a small finite step."""
     model, problem = final.problem.model, final.problem
-    parameter = next(p for p in model.parameters if p.name == name)
+    parameter = next(p for p in model.parameters if p.key == key)
     step = 1e-2
     theta = final.theta.copy()
-    theta[index_of(model.parameters)[name]] += step * parameter.scale
+    theta[index_of(model.parameters)[key]] += step * parameter.scale
     simulated = model.simulate(theta, problem.record, problem.windows, final.solution.point.states)
     measured = problem.record.outputs[problem.windows.rows]
     residuals = ((simulated - measured) / problem.sigma).ravel()
@@ -315,7 +317,7 @@ def _nothing_moves(data: Data, base: Fitted, heldout_is_test: bool, began: float
     marks = score(data.model, base.theta, data.test, data.test_sigma)
     rows = table_of(base).rows
     reason = "neither input nor output moves beyond the noise"
-    undecided = tuple(Undecided(name, None, (), reason) for name in data.model.terms)
+    undecided = tuple(Undecided(*unkeyed(key), (), reason) for key in data.model.terms)
     return Diagnosis(
         "not_decidable",
         1.0,

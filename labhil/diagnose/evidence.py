@@ -9,7 +9,11 @@ from scipy import stats
 
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score
+from labhil.physics.model import Metric
 from labhil.signals import FloatArray
+
+BLOCKS = 12
+"""Into which the errors of inverse dynamics are cut."""
 
 STUDENT = 4.0
 """Degrees of freedom of the held-out likelihood: a window that a bad model loses must not decide alone."""
@@ -24,42 +28,68 @@ class Evidence:
     heldout_loglik_gain: float
 
 
-def effective_samples(residuals: FloatArray) -> float:
-    """How many independent residuals these (n,) are worth, by their AR(1)."""
-    power = float(residuals @ residuals)
-    rho = float(residuals[1:] @ residuals[:-1]) / power if power > 0 else 0.0
+def effective_samples(fitted: Fitted) -> float:
+    """How many independent residuals those of a fit are worth."""
+    return independent(_channels(fitted))
+
+
+def independent(residuals: FloatArray) -> float:
+    """How many independent ones residuals (n, channels) are worth, by an AR(1) of all channels."""
+    power = float(np.sum(residuals**2))
+    rho = float(np.sum(residuals[1:] * residuals[:-1])) / power if power > 0 else 0.0
     rho = min(max(rho, 0.0), 0.99)
-    return len(residuals) * (1.0 - rho) / (1.0 + rho)
+    return residuals.size * (1.0 - rho) / (1.0 + rho)
 
 
 def bic(fitted: Fitted, effective: float) -> float:
     """Schwarz's criterion with as many samples as the residuals are worth; windows' states cost the same."""
-    n = len(fitted.solution.residuals)
-    return float(effective * np.log(fitted.solution.cost / n) + len(fitted.problem.free) * np.log(effective))
+    return float(effective * _log_power(fitted) + len(fitted.problem.free) * np.log(effective))
 
 
 def search_p_value(before: Fitted, after: Fitted, effective: float, looks: int) -> float:
     """p value of the likelihood ratio on the search data, times the number of candidates looked at."""
     added = max(len(after.problem.free) - len(before.problem.free), 1)
-    ratio = effective * np.log(before.solution.cost / max(after.solution.cost, 1e-300))
+    ratio = effective * (_log_power(before) - _log_power(after))
     return float(min(1.0, looks * stats.chi2.sf(max(ratio, 0.0), added)))
+
+
+def _channels(fitted: Fitted) -> FloatArray:
+    """Residuals by channel, (n, channels)."""
+    return fitted.solution.residuals.reshape(-1, len(fitted.problem.sigma))
+
+
+def _log_power(fitted: Fitted) -> float:
+    """Mean over the channels of the logarithm of their mean square: each has a noise level of its own."""
+    return float(np.mean(np.log(np.maximum(np.mean(_channels(fitted) ** 2, axis=0), 1e-300))))
 
 
 def heldout_gain(before: Score, after: Score) -> tuple[float, float]:
     """Log likelihood that a model gains on data it never saw, nats, and the p value that it gains at all.
 
-    Windows are independent, so they are what is counted: a one-sided t test of the gains of windows.
+    Windows are independent, so they are what is counted: a one-sided t test of the gains of windows. Inverse
+    dynamics has one window, which is cut into blocks.
     """
     scale = np.array([max(c.noise_floor, c.rmse) for c in after.channels])
     gain = _student(after.errors / scale) - _student(before.errors / scale)
-    owners = np.unique(after.window)
-    # a window's samples are one smooth error, worth about as many as it has turns: count it as one
-    gains = np.array([gain[after.window == w].mean() for w in owners])
+    if after.metric is Metric.INVERSE_DYNAMICS:
+        worth = _independent_share(after.errors)
+        gains = np.array([worth * block.sum() for block in np.array_split(gain, BLOCKS)])
+    else:
+        owners = np.unique(after.window)
+        # a window's samples are one smooth error, worth about as many as it has turns: count it as one
+        gains = np.array([gain[after.window == w].mean() for w in owners])
     total = float(gains.sum())
     if len(gains) < 3 or not np.any(gains):
         return total, 1.0
     t = gains.mean() / (gains.std(ddof=1) / np.sqrt(len(gains)) + 1e-300)
     return total, float(stats.t.sf(t, len(gains) - 1))
+
+
+def _independent_share(errors: FloatArray) -> float:
+    """Share of the samples of errors (N, c) that are worth an independent one, by an AR(1) of each channel."""
+    rho = np.sum(errors[1:] * errors[:-1], axis=0) / np.maximum(np.sum(errors**2, axis=0), 1e-300)
+    rho = float(np.clip(np.max(rho), 0.0, 0.99))
+    return (1.0 - rho) / (1.0 + rho)
 
 
 def _student(errors: FloatArray) -> FloatArray:

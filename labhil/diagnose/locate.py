@@ -17,6 +17,9 @@ SHARE = 0.8
 """Of the excess squared error that a regime has to hold."""
 
 BINS = 40
+BLOCKS = 12
+"""Into which a record of one window is cut to say when."""
+
 MOST_SAMPLES = 0.6
 """Share of the samples beyond which a regime says nothing."""
 
@@ -176,15 +179,18 @@ def _runs(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def times(before: Score, after: Score, t: FloatArray, most: int = 5) -> tuple[tuple[float, float], ...]:
     """The scored windows that together hold half of the excess squared error, worst first, s."""
-    excess = (before.errors**2).sum(axis=1) - (after.errors**2).sum(axis=1)
-    owners = np.unique(before.window)
-    sums = np.array([excess[before.window == w].sum() for w in owners])
+    floors = np.array([channel.noise_floor for channel in after.channels])
+    excess = np.sum((before.errors / floors) ** 2 - (after.errors / floors) ** 2, axis=1)
+    pieces = [np.flatnonzero(before.window == w) for w in np.unique(before.window)]
+    if len(pieces) == 1:
+        pieces = np.array_split(pieces[0], BLOCKS)
+    sums = np.array([excess[piece].sum() for piece in pieces])
     order = np.argsort(sums)[::-1]
     spans, held = [], 0.0
     for i in order[:most]:
         if sums[i] <= 0 or held > 0.5 * sums[sums > 0].sum():
             break
-        rows = before.rows[before.window == owners[i]]
+        rows = before.rows[pieces[i]]
         spans.append((float(t[rows[0]]), float(t[rows[-1]])))
         held += float(sums[i])
     return tuple(spans)

@@ -63,8 +63,8 @@ RIVAL_BIC = 10.0
 ALPHA = 0.01
 """One-sided level of the held-out test that every step has to pass, on top of the search data."""
 
-JUDGED_SHARE = 0.5
-"""Judged windows are this share of the scored horizon: more of them, so that they can be counted."""
+JUDGED_SHARE, JUDGED_WINDOWS = 0.5, 10
+"""Judged windows are this share of the scored horizon, or shorter: so many of them that they can be counted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +98,9 @@ class Data:
 
     def judge(self, theta: FloatArray) -> Score:
         """Score on held-out windows short enough to be counted."""
-        return score(self.model, theta, self.test, self.test_sigma, JUDGED_SHARE * self.model.horizon)
+        duration = float(self.test.t[-1] - self.test.t[0])
+        length = min(JUDGED_SHARE * self.model.horizon, duration / JUDGED_WINDOWS)
+        return score(self.model, theta, self.test, self.test_sigma, length)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +127,7 @@ def search(data: Data, baseline: Fitted, progress: Progress) -> Found:
             first = ranked[:CONFIRMED] + (pairs[:CONFIRMED_PAIRS] if current.noise > STILL_NOISY else [])
             accepted, trials = _forward(data, current, first, looks, executor, progress)
             if trials:
-                effective = effective_samples(trials[0].solution.residuals)
+                effective = effective_samples(trials[0])
                 p_values.append(search_p_value(current, trials[0], effective, looks))
             if accepted is None:
                 swapped, rivals = _swap(data, current, base, executor, progress)
@@ -140,9 +142,11 @@ def search(data: Data, baseline: Fitted, progress: Progress) -> Found:
             current = _prune(data, accepted, base, progress)
             progress(f"found {', '.join(t for t in current.terms if t not in base)}")
     progress("refitting on longer windows")
-    longer = replace(data, window=LONGER * data.window)
-    current = _prune(longer, lengthen(longer, current), base, progress)
-    baseline = lengthen(longer, baseline)
+    longer = data
+    if data.model.state_names:
+        longer = replace(data, window=LONGER * data.window)
+        current = _prune(longer, lengthen(longer, current), base, progress)
+        baseline = lengthen(longer, baseline)
     current, kept = _supported_only(longer, baseline, current, looks)
     rivals = tuple(r for r in rivals if r.instead_of in current.terms)
     # of the first step when something was found, else of the last, which found nothing to add
@@ -228,7 +232,7 @@ def confirm(
         return _refit(data, current, (*current.terms, *group), group, hopeless=hopeless)
 
     trials = list(executor.map(refit, groups))
-    effective = min((effective_samples(t.solution.residuals) for t in trials), default=1.0)
+    effective = min((effective_samples(t) for t in trials), default=1.0)
     return sorted(trials, key=lambda trial: bic(trial, effective))
 
 
@@ -236,7 +240,7 @@ def _finish_best(data: Data, trials: Sequence[Fitted], executor: Executor) -> li
     """Refit the best few with a second chance for outlying windows, and order them anew."""
     leading = trials[:FINALISTS]
     finished = list(executor.map(lambda t: _refit(data, t, t.terms, (), thorough=True), leading))
-    effective = min(effective_samples(t.solution.residuals) for t in finished)
+    effective = min(effective_samples(t) for t in finished)
     return sorted(finished, key=lambda trial: bic(trial, effective))
 
 
@@ -363,7 +367,7 @@ def compare(
     data: Data, before: Fitted, after: Fitted, score_before: Score, looks: int
 ) -> tuple[Evidence, float]:
     """Evidence for ``after`` over ``before``, and the search data's corrected p value."""
-    effective = effective_samples(after.solution.residuals)
+    effective = effective_samples(after)
     gain, p_value = heldout_gain(score_before, data.judge(after.theta))
     delta = bic(after, effective) - bic(before, effective)
     return Evidence(delta, p_value, gain), search_p_value(before, after, effective, looks)
@@ -392,12 +396,13 @@ def _swap(
         screen = Screen.of(data, reduced)
         columns = list(executor.map(screen.columns_of, groups))
         promises = [screen.promise([own], group) for own, group in zip(columns, groups, strict=True)]
-        hopeful = [i for i in np.argsort(promises)[::-1][:WEIGHED] if promises[i] > HOPEFUL]
+        wanted = HOPEFUL * (1.0 - current.solution.cost / reduced.solution.cost)
+        hopeful = [i for i in np.argsort(promises)[::-1][:WEIGHED] if promises[i] > wanted]
         ranked = [groups[i] for i in hopeful]
         if not ranked:
             continue
         progress(f"weighing {', '.join(group[-1] for group in ranked)} instead of {term}")
-        effective = effective_samples(current.solution.residuals)
+        effective = effective_samples(current)
         for trial in confirm(data, reduced, ranked, executor, HOPELESS * current.solution.cost):
             rival = trial.terms[-1]
             delta = bic(trial, effective) - bic(current, effective)
@@ -426,7 +431,7 @@ def _prune(data: Data, current: Fitted, base: set[str], progress: Progress) -> F
             (),
             hopeless=HOPELESS * current.solution.cost,
         )
-        effective = effective_samples(current.solution.residuals)
+        effective = effective_samples(current)
         if bic(reduced, effective) - bic(current, effective) < -NEEDED_BIC:
             current = reduced
     return current

@@ -126,7 +126,7 @@ class DcMotorModel:
     def driven(
         self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
     ) -> Mapping[str, FloatArray]:
-        """What drives the current, V: the voltage behind the way in, less brushes and R·i's share of warmth."""
+        """The voltage behind the way in, less brushes and what warmth adds to R·i, V."""
         node_t, voltage = self._path.nodes(record, 0, lambda name: self._values.of(theta, name))
         u = np.interp(record.t[windows.rows], node_t, voltage)
         u = u * (1.0 - self._values.of(theta, "supply_sag.coefficient") * np.abs(u))

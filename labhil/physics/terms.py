@@ -103,6 +103,12 @@ class Term:
         return keyed(self.name, self.joint)
 
 
+def unkeyed(key: str) -> tuple[str, int | None]:
+    """Name and joint that :func:`keyed` made a key of."""
+    name, _, joint = key.removesuffix("]").partition("[")
+    return name, int(joint) if joint else None
+
+
 def keyed(name: str, joint: int | None) -> str:
     """``coulomb_friction`` of joint 2 is ``coulomb_friction[2]``; what belongs to no joint keeps its name."""
     return name if joint is None else f"{name}[{joint}]"

@@ -103,7 +103,7 @@ def _improvement(diagnosis: Diagnosis) -> dict[str, Any]:
     before, after = diagnosis.before, diagnosis.after
     return {
         "data": diagnosis.data,
-        "metric": "windowed_simulation",
+        "metric": after.metric.value,
         "horizon": after.horizon,
         "rmse_before": before.rmse,
         "rmse_after": after.rmse,

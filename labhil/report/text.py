@@ -163,7 +163,12 @@ def diagnosis_text(diagnosis: Diagnosis) -> RenderableType:
     if diagnosis.location is not None:
         parts.append(Text(diagnosis.location.statement))
     for item in diagnosis.missing:
-        parts.append(Text(f"• {item.term} ({100 * item.probability:.0f} %): {item.statement}", style="green"))
+        parts.append(
+            Text(
+                f"• {keyed(item.term, item.joint)} ({100 * item.probability:.0f} %): {item.statement}",
+                style="green",
+            )
+        )
         parts.append(
             Text(
                 f"  {item.equation};  ΔBIC {item.evidence.delta_bic:.0f}, "
@@ -173,12 +178,14 @@ def diagnosis_text(diagnosis: Diagnosis) -> RenderableType:
         )
     parts += [
         Text(
-            f"  or {r.term} instead of {r.instead_of} ({100 * r.probability:.0f} %); to tell: {r.experiment}"
+            f"  or {keyed(r.term, r.joint)} instead of {r.instead_of} ({100 * r.probability:.0f} %); to tell: {r.experiment}"
         )
         for r in diagnosis.rivals
     ]
     parts += [
-        Text(f"• {c.name} changed from {c.before:.4g} to {c.after:.4g} {c.unit} (p = {c.p_value:.2g})")
+        Text(
+            f"• {keyed(c.name, c.joint)} changed from {c.before:.4g} to {c.after:.4g} {c.unit} (p = {c.p_value:.2g})"
+        )
         for c in diagnosis.changed
     ]
     before, after = diagnosis.before, diagnosis.after
@@ -195,9 +202,14 @@ def diagnosis_text(diagnosis: Diagnosis) -> RenderableType:
         parts.append(
             Text(
                 "Not there, or smaller than this (99 %): "
-                + ", ".join(f"{e.term} {e.largest_hidden:.2g} {e.unit}" for e in diagnosis.excluded),
+                + ", ".join(
+                    f"{keyed(e.term, e.joint)} {e.largest_hidden:.2g} {e.unit}" for e in diagnosis.excluded
+                ),
                 style="dim",
             )
         )
-    parts += [Text(f"Undecided: {item.term}: {item.reason}.", style="dim") for item in diagnosis.undecided]
+    parts += [
+        Text(f"Undecided: {keyed(item.term, item.joint)}: {item.reason}.", style="dim")
+        for item in diagnosis.undecided
+    ]
     return Group(*parts)

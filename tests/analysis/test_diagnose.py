@@ -12,7 +12,7 @@ import pytest
 
 from labhil.diagnose import locate
 from labhil.diagnose.diagnosis import Diagnosis, diagnose
-from labhil.diagnose.evidence import effective_samples
+from labhil.diagnose.evidence import independent
 from labhil.identify.statistics import Estimate
 from labhil.report.results import Source, diagnosis_json
 
@@ -154,8 +154,9 @@ def test_correlated_residuals_are_worth_fewer():
     slow[0] = white[0]
     for i in range(1, len(white)):
         slow[i] = 0.8 * slow[i - 1] + white[i]
-    assert effective_samples(white) == pytest.approx(20_000, rel=0.06)
-    assert effective_samples(slow) == pytest.approx(20_000 * 0.2 / 1.8, rel=0.15)
+    assert independent(white[:, None]) == pytest.approx(20_000, rel=0.06)
+    assert independent(slow[:, None]) == pytest.approx(20_000 * 0.2 / 1.8, rel=0.15)
+    assert independent(np.column_stack([slow, slow])) == pytest.approx(40_000 * 0.2 / 1.8, rel=0.15)
 
 
 def test_where_nothing_moves_nothing_is_decided(model, acquire):
