@@ -86,7 +86,7 @@ def heldout_gain(before: Score, after: Score) -> tuple[float, float]:
 
 
 def _independent_share(errors: FloatArray) -> float:
-    """Share of the samples of errors (N, c) that are worth an independent one, by an AR(1) of each channel."""
+    """Share of the samples of errors (N, c) that are worth an independent one, by each channel's AR(1)."""
     rho = np.sum(errors[1:] * errors[:-1], axis=0) / np.maximum(np.sum(errors**2, axis=0), 1e-300)
     rho = float(np.clip(np.max(rho), 0.0, 0.99))
     return (1.0 - rho) / (1.0 + rho)

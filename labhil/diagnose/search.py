@@ -64,7 +64,7 @@ ALPHA = 0.01
 """One-sided level of the held-out test that every step has to pass, on top of the search data."""
 
 JUDGED_SHARE, JUDGED_WINDOWS = 0.5, 10
-"""Judged windows are this share of the scored horizon, or shorter: so many of them that they can be counted."""
+"""Judged windows are this share of the scored horizon, or shorter: so many that they can be counted."""
 
 
 @dataclass(frozen=True, slots=True)

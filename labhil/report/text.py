@@ -178,13 +178,15 @@ def diagnosis_text(diagnosis: Diagnosis) -> RenderableType:
         )
     parts += [
         Text(
-            f"  or {keyed(r.term, r.joint)} instead of {r.instead_of} ({100 * r.probability:.0f} %); to tell: {r.experiment}"
+            f"  or {keyed(r.term, r.joint)} instead of {r.instead_of} "
+            f"({100 * r.probability:.0f} %); to tell: {r.experiment}"
         )
         for r in diagnosis.rivals
     ]
     parts += [
         Text(
-            f"• {keyed(c.name, c.joint)} changed from {c.before:.4g} to {c.after:.4g} {c.unit} (p = {c.p_value:.2g})"
+            f"• {keyed(c.name, c.joint)} changed from {c.before:.4g} to {c.after:.4g} {c.unit} "
+            f"(p = {c.p_value:.2g})"
         )
         for c in diagnosis.changed
     ]
