@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
 
 from labhil.diagnose import locate
-from labhil.diagnose.evidence import Evidence
+from labhil.diagnose.evidence import Evidence, bic, effective_samples
 from labhil.diagnose.search import Data, Found, Rival, Step, search
 from labhil.identify.fitted import Fitted, climb, start_theta
 from labhil.identify.score import Score, score
@@ -130,12 +130,18 @@ def diagnose(
     began = time.perf_counter()
     sigma = noise_of(searched)
     window = SEARCH_WINDOW_IN_HORIZONS * model.horizon
-    data = Data(model, searched, held_out, sigma, noise_of(held_out), window)
+    begin = start_theta(model, reference)
+    data = Data(model, searched, held_out, sigma, noise_of(held_out), window, begin)
     progress(f"fitting the baseline: {', '.join(baseline)}")
-    base = _fit_baseline(data, [term.key for term in terms_named(model, baseline)], reference)
+    terms = [term.key for term in terms_named(model, baseline)]
+    base = _fit_baseline(data, terms)
     if not _excited(searched, sigma):
         return _nothing_moves(data, base, heldout_is_test, began)
     found = search(data, base, progress)
+    if reference is not None and (sizes := _sizes(model, reference)):
+        progress("the same with the sizes of the given model held")
+        held = replace(data, held=sizes)
+        found = _simpler(found, search(held, _fit_baseline(held, terms), progress))
     progress("scores, intervals and exclusion limits")
     base = found.baseline
     # the same windows before and after
@@ -168,11 +174,26 @@ def diagnose(
     )
 
 
-def _fit_baseline(data: Data, terms: Sequence[str], reference: Mapping[str, float] | None) -> Fitted:
+def _fit_baseline(data: Data, terms: Sequence[str]) -> Fitted:
     """The baseline on the windows of the search, by way of shorter ones."""
     lengths = [FIRST_WINDOW_IN_HORIZONS * data.model.horizon, data.window]
-    start = start_theta(data.model, reference)
-    return climb(data.model, data.search, terms, lengths, data.sigma, start=start, fresh=terms)[-1]
+    model, record, sigma, begin = data.model, data.search, data.sigma, data.begin
+    return climb(model, record, terms, lengths, sigma, start=begin, fresh=terms, held=data.held)[-1]
+
+
+def _sizes(model: Model, reference: Mapping[str, float]) -> frozenset[str]:
+    """The rig's own sizes that the user's simulation states."""
+    return frozenset(p.key for p in model.parameters if p.term is None and p.key in reference)
+
+
+def _simpler(free: Found, held: Found) -> Found:
+    """The better of two searches by BIC on the search data.
+
+    Refitted sizes may absorb what is missing: a load at the flange is a change of many inertias. Held ones
+    would have missing physics make up for a size that has changed. The simpler account of the data is right.
+    """
+    effective = min(effective_samples(free.final), effective_samples(held.final))
+    return min(free, held, key=lambda found: bic(found.final, effective))
 
 
 def _excited(record: Record, sigma: np.ndarray) -> bool:

@@ -16,7 +16,7 @@ from itertools import combinations
 import numpy as np
 
 from labhil.diagnose.evidence import Evidence, bic, effective_samples, heldout_gain, search_p_value
-from labhil.identify.fitted import Fitted, climb, fit_terms, start_theta
+from labhil.identify.fitted import Fitted, climb, fit_terms
 from labhil.identify.problem import Linearised, Point, Problem
 from labhil.identify.score import Score, score
 from labhil.physics.model import Model, Record, index_of, starts_of, terms_named
@@ -87,7 +87,10 @@ class Rival:
 
 @dataclass(frozen=True, slots=True)
 class Data:
-    """What a search works on: search and test records with their noise, and the windows' length in s."""
+    """What a search works on: search and test records with their noise, and the windows' length in s.
+
+    ``begin`` is the vector that fits begin at; parameters with a key in ``held`` stay there.
+    """
 
     model: Model
     search: Record
@@ -95,6 +98,8 @@ class Data:
     sigma: FloatArray
     test_sigma: FloatArray
     window: float
+    begin: FloatArray
+    held: frozenset[str] = frozenset()
 
     def judge(self, theta: FloatArray) -> Score:
         """Score on held-out windows short enough to be counted."""
@@ -161,11 +166,12 @@ def lengthen(data: Data, fitted: Fitted) -> Fitted:
     terms one by one, and its way may have ended in a local minimum.
     """
     model, record, terms, sigma = data.model, data.search, fitted.terms, data.sigma
-    onward = climb(model, record, terms, [data.window], sigma, start=fitted.theta, fresh=())[-1]
+    held = data.held
+    onward = climb(model, record, terms, [data.window], sigma, start=fitted.theta, fresh=(), held=held)[-1]
     if onward.noise < SETTLED:
         return onward
     lengths = [share * data.window for share in (0.25, 0.5, 1.0)]
-    anew = climb(model, record, terms, lengths, sigma, start=start_theta(model), fresh=terms)[-1]
+    anew = climb(model, record, terms, lengths, sigma, start=data.begin, fresh=terms, held=held)[-1]
     return min(onward, anew, key=lambda candidate: candidate.solution.cost)
 
 
@@ -351,6 +357,7 @@ def _refit(
         iterations=25,
         thorough=thorough,
         hopeless=hopeless,
+        held=data.held,
     )
 
 

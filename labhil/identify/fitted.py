@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -44,11 +44,19 @@ class Fitted:
         return max(len(self.solution.residuals) - fitted, 1)
 
 
-def free_of(model: Model, terms: Sequence[str]) -> np.ndarray:
-    """Places of the parameters that a model with these terms estimates: the rig's own and the terms'."""
+def free_of(model: Model, terms: Sequence[str], held: Collection[str] = ()) -> np.ndarray:
+    """Places of the parameters that a model with these terms estimates: the rig's own and the terms'.
+
+    Those with a key in ``held`` are not among them.
+    """
     chosen = {p.key for term in terms_named(model, terms) for p in term.parameters}
     return np.array(
-        [i for i, p in enumerate(model.parameters) if p.term is None or p.key in chosen], dtype=np.int64
+        [
+            i
+            for i, p in enumerate(model.parameters)
+            if (p.term is None or p.key in chosen) and p.key not in held
+        ],
+        dtype=np.int64,
     )
 
 
@@ -76,6 +84,7 @@ def fit_terms(
     thorough: bool = True,
     hopeless: float = float("inf"),
     shapes: bool = True,
+    held: Collection[str] = (),
 ) -> Fitted:
     """Fit a set of terms from several starts and keep the best.
 
@@ -83,11 +92,12 @@ def fit_terms(
     same windows under a model close by; the ``new_terms`` (default: all) begin at each of their own
     starts. Scouts go a few steps from each, the best goes on to the end; ``thorough`` gives outlying
     windows a second chance there. When no scout comes below the cost ``hopeless``, the best scout is
-    the answer. Without ``shapes`` widths such as the Stribeck velocity stay where they begin.
+    the answer. Without ``shapes`` widths such as the Stribeck velocity stay where they begin, and
+    parameters with a key in ``held`` always do.
     """
     begin = start_theta(model) if start is None else start
     windows = fit_windows(record, window)
-    every = free_of(model, terms)
+    every = free_of(model, terms, held)
     free = every if shapes else every[[not model.parameters[i].shape for i in every]]
     best: tuple[Problem, Solution] | None = None
     starts = starts_with(model, record, begin, terms if new_terms is None else new_terms)
@@ -155,6 +165,7 @@ def climb(
     *,
     start: FloatArray,
     fresh: Sequence[str],
+    held: Collection[str] = (),
 ) -> list[Fitted]:
     """Fit on longer and longer windows (s), each from where the one before ended.
 
@@ -165,7 +176,9 @@ def climb(
     for length in lengths:
         begin = rungs[-1].theta if rungs else start
         new_terms = () if rungs else fresh
-        rungs.append(fit_terms(model, record, terms, length, sigma, start=begin, new_terms=new_terms))
+        rungs.append(
+            fit_terms(model, record, terms, length, sigma, start=begin, new_terms=new_terms, held=held)
+        )
     return rungs
 
 
