@@ -1,0 +1,96 @@
+"""Signals of a recording drawn, however long they are: the smallest and largest of each stretch of time."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from labhil.recording.reader import StreamData
+from labhil.report.figure import figure_of, finish
+from labhil.report.html.element import Markup
+from labhil.report.html.picture import Album, label
+from labhil.signals import Direction, FloatArray, Hold, IntArray, Signal
+
+STRETCHES = 900
+"""About as many as a page has pixels."""
+
+COLOURS = ("#1f5f8b", "#c8553d", "#2a7f62", "#8a5a00", "#7c3a85", "#57606a")
+LEFT, RIGHT = 0.09, 0.985
+"""Where axes begin and end, so that all pictures of a page have one time axis."""
+
+
+def signal_picture(album: Album, data: StreamData, signal: Signal) -> Markup:
+    """One signal over time; a vector has a line per column."""
+    about = f" ({signal.description})" if signal.description else ""
+    caption = f"{signal.name}{about}, {signal.direction.value} of /{data.device}/{data.stream.name}."
+    return album.picture(caption, lambda: _draw_signal(data, signal))
+
+
+def timing_picture(album: Album, data: StreamData) -> Markup:
+    """Time from each sample to the next."""
+    caption = f"Time from each sample of /{data.device}/{data.stream.name} to the next; a gap stands out."
+    return album.picture(caption, lambda: _draw_timing(data))
+
+
+def _draw_signal(data: StreamData, signal: Signal) -> Figure:
+    figure, axes = _strip(2.3 if signal.direction is Direction.OUTPUT else 1.9)
+    values = data[signal.name].reshape(len(data), -1)
+    steps = "steps-post" if signal.hold is Hold.ZERO else "default"
+    for column, name in enumerate(signal.columns()):
+        t, drawn = envelope(data.t, values[:, column], data.seq)
+        colour = COLOURS[column % len(COLOURS)]
+        axes.plot(t, drawn, color=colour, lw=0.9, drawstyle=steps, label=_legend(signal, name))
+    finish(axes, "", "time, s", label(signal.unit))
+    if signal.width > 1:
+        axes.legend(fontsize=7, ncols=6, loc="upper right", framealpha=0.8, edgecolor="none")
+    return figure
+
+
+def _legend(signal: Signal, name: str) -> str | None:
+    return label(name) if signal.width > 1 else None
+
+
+def _draw_timing(data: StreamData) -> Figure:
+    figure, axes = _strip(1.6)
+    t, drawn = envelope(data.t[1:], 1e3 * np.diff(data.t))
+    axes.plot(t, drawn, color=COLOURS[5], lw=0.8)
+    axes.axhline(1e3 / data.stream.rate, color=COLOURS[1], lw=0.8, ls="--", label="nominal")
+    axes.set_ylim(bottom=0.0)
+    finish(axes, "", "time, s", "interval, ms")
+    return figure
+
+
+def _strip(height: float) -> tuple[Figure, Axes]:
+    figure = figure_of((10.5, height))
+    bottom, top = 0.5 / height, 1.0 - 0.08 / height
+    axes = figure.add_axes((LEFT, bottom, RIGHT - LEFT, top - bottom))
+    return figure, axes
+
+
+def envelope(t: FloatArray, values: FloatArray, seq: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
+    """Times and values of a line that shows every extreme of (t, values), both (n,), with few points.
+
+    Each of ``STRETCHES`` stretches keeps its smallest and its largest value, in their order. Where ``seq``
+    has holes the line is broken by a NaN.
+    """
+    kept = np.arange(len(values)) if len(values) <= 2 * STRETCHES else _extremes(values)
+    drawn = values[kept]
+    if seq is None:
+        return t[kept], drawn
+    missing = np.concatenate(([0], np.cumsum(np.diff(seq) > 1)))[kept]
+    breaks = np.flatnonzero(np.diff(missing) > 0) + 1
+    return np.insert(t[kept], breaks, t[kept][breaks]), np.insert(drawn, breaks, np.nan)
+
+
+def _extremes(values: FloatArray) -> IntArray:
+    """Rows of the smallest and largest of each stretch, increasing; NaN counts as neither."""
+    whole = len(values) // STRETCHES
+    low = np.where(np.isnan(values), np.inf, values)
+    high = np.where(np.isnan(values), -np.inf, values)
+    end = whole * STRETCHES
+    starts = np.arange(STRETCHES) * whole
+    smallest = starts + low[:end].reshape(STRETCHES, whole).argmin(axis=1)
+    largest = starts + high[:end].reshape(STRETCHES, whole).argmax(axis=1)
+    rest = [end + low[end:].argmin(), end + high[end:].argmax()] if end < len(values) else []
+    return np.unique(np.concatenate((smallest, largest, rest, [0, len(values) - 1])).astype(np.int64))
