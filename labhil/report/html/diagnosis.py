@@ -10,6 +10,7 @@ from labhil.report.html.element import Content, Markup, joined, tag
 from labhil.report.html.model import (
     bars,
     intervals_picture,
+    named,
     names,
     parameters_table,
     recordings_table,
@@ -119,7 +120,8 @@ def _missing(item: MissingPart, rivals: Sequence[RivalPart]) -> Markup:
             ("ΔBIC, with against without", quantity(evidence.delta_bic)),
             ("Gain on held-out data", quantity(evidence.heldout_loglik_gain, "nats")),
             ("p that it gains nothing", p_value(evidence.p_value)),
-        )
+        ),
+        "row",
     )
     instead = [r for r in rivals if (r.instead_of, r.joint) == (item.term, item.joint)]
     return tag(
@@ -146,7 +148,7 @@ def _changed(diagnosis: DiagnosisPart) -> Section | None:
         return None
     rows = [
         (
-            tag("code", keyed(change.name, change.joint)),
+            named(change.name, change.joint),
             quantity(change.before, change.unit),
             quantity(change.after, change.unit),
             interval(change.ci99, change.unit),
@@ -162,7 +164,7 @@ def _location(where: LocationPart | None) -> Section | None:
     if where is None:
         return None
     times = ", ".join(interval(span, "s") for span in where.times)
-    named = facts(
+    told = facts(
         (
             ("Channel", tag("code", keyed(where.channel, where.joint))),
             ("It enters by", where.enters),
@@ -175,7 +177,7 @@ def _location(where: LocationPart | None) -> Section | None:
     ]
     columns = (*text("Coordinate"), *numbers("From", "To", "Share of the excess"))
     regimes = table("Regimes that hold the excess squared error", columns, rows) if rows else None
-    return section("Where the mismatch is", tag("p", where.statement), named, regimes)
+    return section("Where the mismatch is", told, regimes)
 
 
 def _improvement(better: ImprovementPart | None, pictures: Sequence[Markup]) -> Section | None:
@@ -207,7 +209,7 @@ def _scored(better: ImprovementPart) -> str:
 
 def _channel(channel: ChannelImprovement) -> list[Content]:
     return [
-        tag("code", keyed(channel.channel, channel.joint)),
+        named(channel.channel, channel.joint),
         quantity(channel.rmse_before, channel.unit),
         quantity(channel.rmse_after, channel.unit),
         quantity(channel.noise_floor, channel.unit),

@@ -131,23 +131,29 @@ def _channel(data: str, channel: ChannelErrors) -> list[Content]:
         quantity(channel.noise_floor, channel.unit),
         multiple(channel.rmse, channel.noise_floor),
         quantity(channel.max_abs_error, channel.unit),
-        quantity(channel.mse, f"({channel.unit})²" if channel.unit else ""),
+        quantity(channel.mse, _squared(channel.unit)),
         percent(channel.r2),
     ]
+
+
+def _squared(unit: str) -> str:
+    if unit in ("", "1"):
+        return ""
+    return f"{unit}²" if unit.isalpha() else f"({unit})²"
 
 
 def _windows(fit: FitPart, album: Album) -> Section | None:
     if len(fit.by_window) < 2:
         return None
-    columns = (*text("Windows of"), *numbers("Residual ÷ noise"))
-    rows = [(quantity(rung.window, "s"), quantity(rung.residual, digits=3)) for rung in fit.by_window]
+    columns = (*text("Windows of"), *numbers(*(quantity(rung.window, "s") for rung in fit.by_window)))
+    residuals = ("Residual ÷ noise", *(quantity(rung.residual, digits=3) for rung in fit.by_window))
     caption = (
         "Estimates with 99 % intervals against the length of the fitted windows; the band is the final "
         "estimate's interval. Estimates that drift say that the plant is disturbed, or physics is missing."
     )
     return section(
         "How the estimates move with the window",
-        table(f"The fit uses windows of {quantity(fit.window, 's')}", columns, rows),
+        table(f"The fit uses windows of {quantity(fit.window, 's')}", columns, [residuals]),
         album.picture(caption, lambda: _draw_windows(fit)),
     )
 
@@ -215,15 +221,18 @@ def _draw_correlations(
     spread = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     scale = np.outer(spread, spread)
     correlation = np.divide(matrix, scale, out=np.full_like(matrix, np.nan), where=scale > 0.0)
-    size = min(9.0, 3.2 + 0.42 * len(rows))
-    figure = figure_of((10.0, size))
+    figure = figure_of((10.0, min(9.0, 1.0 + 0.4 * len(rows))))
     axes = figure.subplots()
-    image = axes.imshow(correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
-    axes.set_yticks(range(len(rows)), [label(keyed(row.name, row.joint)) for row in rows], fontsize=8)
+    image = axes.imshow(correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0, aspect="auto")
+    axes.set_yticks(
+        range(len(rows)),
+        [f"{label(keyed(row.name, row.joint))}  {i}" for i, row in enumerate(rows, 1)],
+        fontsize=8,
+    )
     axes.set_xticks(range(len(rows)), [str(i + 1) for i in range(len(rows))], fontsize=8)
     if len(rows) <= 12:
         _write_numbers(axes, correlation)
-    figure.colorbar(image, ax=axes, shrink=0.8)
+    figure.colorbar(image, ax=axes, pad=0.01)
     return figure
 
 

@@ -42,7 +42,7 @@ def parameters_table(rows: Sequence[ParameterRow], caption: str, *, reference: b
     """Values with errors and intervals; with ``reference``, the reference text's own error beside ours."""
     if not rows:
         return None
-    errors = ("Standard error", "Reference's error") if reference else ("Standard error",)
+    errors = ("Std. error", "Reference's") if reference else ("Std. error",)
     columns = (*text("Parameter"), *numbers("Value", *errors, "99 % interval", "z", "p"), *text("Remark"))
     return table(caption, columns, [_parameter(row, reference) for row in rows])
 
@@ -52,10 +52,10 @@ def _parameter(row: ParameterRow, reference: bool) -> list[Content]:
     if reference:
         errors.append(quantity(row.std_error_reference, digits=2))
     return [
-        tag("code", keyed(row.name, row.joint)),
+        named(row.name, row.joint),
         quantity(row.value, row.unit),
         *errors,
-        interval(row.ci99, row.unit),
+        interval(row.ci99),
         quantity(row.z, digits=3),
         p_value(row.p_value),
         remark(row),
@@ -124,6 +124,12 @@ def _unsure(row: ParameterRow) -> bool:
 
 def _labelled(row: ParameterRow) -> str:
     return f"{keyed(row.name, row.joint)} = {quantity(row.value, row.unit)}"
+
+
+def named(name: str, joint: int | None = None) -> Markup:
+    """A name as code, which a narrow column may break behind its dots."""
+    first, *others = keyed(name, joint).split(".")
+    return tag("code", first, *(joined((".", tag("wbr"), other)) for other in others))
 
 
 def bars(before: float | None, after: float | None, floor: float | None) -> Markup | None:

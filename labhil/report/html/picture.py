@@ -7,14 +7,16 @@ import re
 import warnings
 from collections.abc import Callable
 from itertools import count
+from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 
 from labhil.report.html.element import Markup, clean, tag
 
-SETTINGS = {
+SETTINGS: dict[Any, Any] = {
     "svg.fonttype": "none",  # text stays text: small, sharp, found by a search
     "svg.hashsalt": "labhil",  # the same figure makes the same file
     "text.parse_math": False,  # a dollar sign in a signal's name is no formula
@@ -47,7 +49,7 @@ def _svg(figure: Figure, prefix: str, title: str) -> Markup:
     for axes in figure.axes:
         for dots in axes.collections:
             if isinstance(dots, PathCollection):
-                dots.set_rasterized(len(dots.get_offsets()) > MOST_DOTS)
+                dots.set_rasterized(np.asarray(dots.get_offsets()).shape[0] > MOST_DOTS)
     file = io.StringIO()
     figure.savefig(file, format="svg", dpi=150, metadata=NO_METADATA)
     drawn = file.getvalue()

@@ -6,6 +6,10 @@ import math
 
 NOTHING = "–"
 SMALLEST_P = 1e-99
+
+THOUSANDS = (1e4, 1e7)
+"""Sizes that are written out, with spaces between thousands."""
+
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -13,9 +17,15 @@ def quantity(value: float | None, unit: str = "", digits: int = 4) -> str:
     """A number with its unit, ``−0.06 N``; a dash where there is none. A unit of 1 is not written."""
     if value is None or not math.isfinite(value):
         return NOTHING
+    if THOUSANDS[0] <= abs(value) < THOUSANDS[1]:
+        whole = round(float(f"{value:.{digits}g}"))
+        return _with_unit(count(whole).replace("-", "−"), unit)
     mantissa, _, exponent = f"{value:.{digits}g}".partition("e")
     power = f"·10{str(int(exponent)).translate(SUPERSCRIPTS)}" if exponent else ""
-    written = mantissa.replace("-", "−") + power
+    return _with_unit(mantissa.replace("-", "−") + power, unit)
+
+
+def _with_unit(written: str, unit: str) -> str:
     return f"{written}\N{NO-BREAK SPACE}{unit}" if unit not in ("", "1") else written
 
 
@@ -28,10 +38,11 @@ def interval(ends: tuple[float | None, float | None] | None, unit: str = "") -> 
 
 
 def percent(share: float | None) -> str:
-    """A fraction in per cent, two decimals."""
+    """A fraction in per cent: two decimals, or four where two would make a whole of what is none."""
     if share is None or not math.isfinite(share):
         return NOTHING
-    return f"{100 * share:.2f}\N{NO-BREAK SPACE}%".replace("-", "−")
+    decimals = 4 if 0.99995 <= share < 1.0 else 2
+    return f"{100 * share:.{decimals}f}\N{NO-BREAK SPACE}%".replace("-", "−")
 
 
 def chance(probability: float | None) -> str:
@@ -60,5 +71,5 @@ def multiple(value: float | None, unit: float | None) -> str:
 
 
 def count(number: int) -> str:
-    """A whole number with thin spaces between thousands."""
+    """A whole number with narrow spaces between thousands."""
     return f"{number:,}".replace(",", "\N{NARROW NO-BREAK SPACE}")

@@ -15,7 +15,7 @@ from labhil.report.html.picture import Album
 from labhil.report.html.quantity import count, multiple, quantity
 from labhil.report.html.signals import signal_picture, timing_picture
 from labhil.report.html.table import facts, numbers, table, text, tiles
-from labhil.signals import FloatArray
+from labhil.signals import IntArray
 
 MOST_GAPS = 20
 MOST_EVENTS = 60
@@ -96,9 +96,9 @@ def _name(data: StreamData) -> str:
     return f"/{data.device}/{data.stream.name}"
 
 
-def _holes(data: StreamData) -> FloatArray:
+def _holes(data: StreamData) -> IntArray:
     """Rows after which samples are missing, as indices."""
-    return np.flatnonzero(np.diff(data.seq) > 1)
+    return np.asarray(np.flatnonzero(np.diff(data.seq) > 1), dtype=np.int64)
 
 
 def _gaps(recording: Recording) -> Iterator[Markup]:
@@ -160,7 +160,12 @@ def _event(event: Event) -> list[Content]:
     message = event.body.get("message") or event.body.get("text")
     if message is None:
         message = json.dumps(dict(event.body), ensure_ascii=False)
-    return [quantity(event.t, "s"), tag("code", event.device), str(kind), str(message)[:500]]
+    return [
+        f"{event.t:.3f}\N{NO-BREAK SPACE}s".replace("-", "−"),
+        tag("code", event.device),
+        str(kind),
+        str(message)[:500],
+    ]
 
 
 def _attachment(name: str, content: bytes) -> Section | None:

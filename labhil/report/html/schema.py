@@ -290,23 +290,20 @@ class DiagnosisPart(Part):
     seconds: Number = None
 
 
-Result = TypeVar("Result", FitPart, DiagnosisPart)
+Result = TypeVar("Result", bound=Part)
 
-SCHEMAS: dict[str, type[FitPart] | type[DiagnosisPart]] = {
-    "labhil.fit/1": FitPart,
-    "labhil.diagnosis/1": DiagnosisPart,
-}
+FIT, DIAGNOSIS = "labhil.fit/1", "labhil.diagnosis/1"
 
 
 def result_of(data: Any, origin: str) -> FitPart | DiagnosisPart:
     """A result of plain JSON data; ModelFileError names ``origin``, the field and what was expected."""
     schema = data.get("schema") if isinstance(data, dict) else None
-    kind = SCHEMAS.get(schema) if isinstance(schema, str) else None
-    if kind is None:
-        raise ModelFileError(
-            f"{origin}: expected a result of schema {' or '.join(SCHEMAS)}, found {schema or 'no schema'}"
-        )
-    return checked(kind, data, origin)
+    if schema == FIT:
+        return checked(FitPart, data, origin)
+    if schema == DIAGNOSIS:
+        return checked(DiagnosisPart, data, origin)
+    found = repr(schema) if schema else "no schema"
+    raise ModelFileError(f"{origin}: expected a result of schema {FIT} or {DIAGNOSIS}, found {found:.80}")
 
 
 def checked(kind: type[Result], data: Any, origin: str) -> Result:

@@ -56,13 +56,14 @@ def _draw_timing(data: StreamData) -> Figure:
     t, drawn = envelope(data.t[1:], 1e3 * np.diff(data.t))
     axes.plot(t, drawn, color=COLOURS[5], lw=0.8)
     axes.axhline(1e3 / data.stream.rate, color=COLOURS[1], lw=0.8, ls="--", label="nominal")
-    axes.set_ylim(bottom=0.0)
+    axes.set_ylim(0.0, 1.25 * float(np.nanmax(drawn)))
     finish(axes, "", "time, s", "interval, ms")
     return figure
 
 
 def _strip(height: float) -> tuple[Figure, Axes]:
     figure = figure_of((10.5, height))
+    figure.set_layout_engine("none")
     bottom, top = 0.5 / height, 1.0 - 0.08 / height
     axes = figure.add_axes((LEFT, bottom, RIGHT - LEFT, top - bottom))
     return figure, axes
@@ -85,12 +86,12 @@ def envelope(t: FloatArray, values: FloatArray, seq: IntArray | None = None) -> 
 
 def _extremes(values: FloatArray) -> IntArray:
     """Rows of the smallest and largest of each stretch, increasing; NaN counts as neither."""
-    whole = len(values) // STRETCHES
-    low = np.where(np.isnan(values), np.inf, values)
-    high = np.where(np.isnan(values), -np.inf, values)
-    end = whole * STRETCHES
-    starts = np.arange(STRETCHES) * whole
-    smallest = starts + low[:end].reshape(STRETCHES, whole).argmin(axis=1)
-    largest = starts + high[:end].reshape(STRETCHES, whole).argmax(axis=1)
-    rest = [end + low[end:].argmin(), end + high[end:].argmax()] if end < len(values) else []
-    return np.unique(np.concatenate((smallest, largest, rest, [0, len(values) - 1])).astype(np.int64))
+    n = len(values)
+    width = -(-n // STRETCHES)
+    stretches = -(-n // width)
+    padded = np.concatenate((values, np.full(stretches * width - n, np.nan)))
+    starts = np.arange(stretches) * width
+    unknown = np.isnan(padded)
+    smallest = starts + np.where(unknown, np.inf, padded).reshape(stretches, width).argmin(axis=1)
+    largest = starts + np.where(unknown, -np.inf, padded).reshape(stretches, width).argmax(axis=1)
+    return np.unique(np.concatenate((smallest, largest, [0, n - 1])))

@@ -51,9 +51,10 @@ def _class(column: Column) -> str | None:
     return "number" if column.number else None
 
 
-def facts(pairs: Iterable[tuple[Content, Content]]) -> Markup:
-    """Names and values, one pair under another."""
-    return tag("dl", *(tag("div", tag("dt", name), tag("dd", value)) for name, value in pairs))
+def facts(pairs: Iterable[tuple[Content, Content]], class_: str | None = None) -> Markup:
+    """Names and values, one pair under another; in one row with the class "row"."""
+    told = (tag("div", tag("dt", name), tag("dd", value)) for name, value in pairs)
+    return tag("dl", *told, class_=class_)
 
 
 def tiles(entries: Iterable[tuple[str, Content, Content]]) -> Markup:
