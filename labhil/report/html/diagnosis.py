@@ -84,11 +84,7 @@ def _figures(diagnosis: DiagnosisPart) -> Markup:
         entries += [
             ("RMSE before", quantity(better.rmse_before, unit), _over_floor(better.rmse_before, better)),
             ("RMSE after", quantity(better.rmse_after, unit), _over_floor(better.rmse_after, better)),
-            (
-                "R² before → after",
-                f"{percent(better.r2_before)} → {percent(better.r2_after)}",
-                _judged(better),
-            ),
+            ("R² after", percent(better.r2_after), f"{percent(better.r2_before)} before, {_judged(better)}"),
         ]
     return tiles(entries)
 
@@ -126,7 +122,11 @@ def _missing(item: MissingPart, rivals: Sequence[RivalPart]) -> Markup:
     instead = [r for r in rivals if (r.instead_of, r.joint) == (item.term, item.joint)]
     return tag(
         "article",
-        tag("h3", keyed(item.term, item.joint), tag("span", chance(item.probability), class_="remark")),
+        tag(
+            "h3",
+            keyed(item.term, item.joint),
+            tag("span", "probability ", chance(item.probability), class_="remark"),
+        ),
         tag("p", item.statement),
         tag("p", item.equation, class_="equation") if item.equation else None,
         parameters_table(item.parameters, f"Parameters of {keyed(item.term, item.joint)}"),

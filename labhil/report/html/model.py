@@ -42,7 +42,7 @@ def parameters_table(rows: Sequence[ParameterRow], caption: str, *, reference: b
     """Values with errors and intervals; with ``reference``, the reference text's own error beside ours."""
     if not rows:
         return None
-    errors = ("Std. error", "Reference's") if reference else ("Std. error",)
+    errors = ("Std. error", "Reference's error") if reference else ("Std. error",)
     columns = (*text("Parameter"), *numbers("Value", *errors, "99 % interval", "z", "p"), *text("Remark"))
     return table(caption, columns, [_parameter(row, reference) for row in rows])
 
