@@ -12,6 +12,7 @@ from labhil.diagnose import locate
 from labhil.diagnose.diagnosis import Diagnosis
 from labhil.identify.score import Score
 from labhil.physics.model import Record
+from labhil.physics.terms import keyed
 from labhil.report.figure import AFTER, BEFORE, MEASURED, figure_of, finish, save
 from labhil.signals import FloatArray
 
@@ -40,22 +41,30 @@ def broken(score: Score, values: FloatArray) -> FloatArray:
     return np.asarray(np.where(np.r_[True, np.diff(score.window) > 0], np.nan, values))
 
 
-def _draw_windows(axes: Axes, diagnosis: Diagnosis, record: Record) -> None:
+def channel_figure(diagnosis: Diagnosis, held_out: Record, j: int) -> Figure:
+    """Simulation and errors of output channel ``j`` as a figure: for rigs that have more than one."""
+    figure = figure_of((11.0, 3.6))
+    axes = figure.subplots(1, 2)
+    _draw_windows(axes[0], diagnosis, held_out, j)
+    _draw_errors(axes[1], diagnosis, held_out, j)
+    return figure
+
+
+def _draw_windows(axes: Axes, diagnosis: Diagnosis, record: Record, j: int = 0) -> None:
     rows = diagnosis.after.rows
-    t, measured = record.t[rows], record.outputs[rows, 0]
-    channel = diagnosis.after.channels[0]
+    t, measured = record.t[rows], record.outputs[rows, j]
+    channel = diagnosis.after.channels[j]
     axes.plot(t, measured, color=MEASURED, lw=2.5, alpha=0.5, label="measured")
-    for score, colour, label in _both(diagnosis):
-        axes.plot(t, broken(score, measured + score.errors[:, 0]), color=colour, lw=1.0, label=label)
-    finish(
-        axes, "Simulated windows on data the search never saw", "t, s", f"{channel.channel}, {channel.unit}"
-    )
+    for score, colour, label in _both(diagnosis, j):
+        axes.plot(t, broken(score, measured + score.errors[:, j]), color=colour, lw=1.0, label=label)
+    name = keyed(channel.channel, channel.joint)
+    finish(axes, "Simulated windows on data the search never saw", "t, s", f"{name}, {channel.unit}")
 
 
-def _draw_errors(axes: Axes, diagnosis: Diagnosis, record: Record) -> None:
-    channel = diagnosis.after.channels[0]
-    for score, colour, label in _both(diagnosis):
-        axes.plot(record.t[score.rows], broken(score, score.errors[:, 0]), color=colour, lw=1.0, label=label)
+def _draw_errors(axes: Axes, diagnosis: Diagnosis, record: Record, j: int = 0) -> None:
+    channel = diagnosis.after.channels[j]
+    for score, colour, label in _both(diagnosis, j):
+        axes.plot(record.t[score.rows], broken(score, score.errors[:, j]), color=colour, lw=1.0, label=label)
     axes.axhspan(-channel.noise_floor, channel.noise_floor, color="k", alpha=0.12, label="noise floor")
     finish(axes, "Error", "t, s", channel.unit)
 
@@ -89,10 +98,10 @@ def _draw_histogram(axes: Axes, diagnosis: Diagnosis) -> None:
     finish(axes, "Errors (outliers at the edges)", f"error, {channel.unit}", "samples")
 
 
-def _both(diagnosis: Diagnosis) -> list[tuple[Score, str, str]]:
+def _both(diagnosis: Diagnosis, j: int = 0) -> list[tuple[Score, str, str]]:
     before, after = diagnosis.before, diagnosis.after
-    unit = before.channels[0].unit
+    unit = before.channels[j].unit
     return [
-        (before, BEFORE, f"before: RMSE {before.channels[0].rmse:.3g} {unit}"),
-        (after, AFTER, f"after: RMSE {after.channels[0].rmse:.3g} {unit}"),
+        (before, BEFORE, f"before: RMSE {before.channels[j].rmse:.3g} {unit}"),
+        (after, AFTER, f"after: RMSE {after.channels[j].rmse:.3g} {unit}"),
     ]
