@@ -31,7 +31,7 @@ def recordings_table(sources: Sequence[Source]) -> Markup:
             source.role,
             count(source.samples),
             quantity(source.duration, "s"),
-            tag("code", source.sha256),
+            tag("code", source.sha256, class_="hash"),
         )
         for source in sources
     ]

@@ -34,16 +34,18 @@ def timing_picture(album: Album, data: StreamData) -> Markup:
 
 
 def _draw_signal(data: StreamData, signal: Signal) -> Figure:
-    figure, axes = _strip(2.3 if signal.direction is Direction.OUTPUT else 1.9)
+    figure, axes = _strip(2.3 if signal.direction is Direction.OUTPUT else 1.9, legend=signal.width > 1)
     values = data[signal.name].reshape(len(data), -1)
     steps = "steps-post" if signal.hold is Hold.ZERO else "default"
     for column, name in enumerate(signal.columns()):
         t, drawn = envelope(data.t, values[:, column], data.seq)
+        if not np.isfinite(drawn).any():
+            continue
         colour = COLOURS[column % len(COLOURS)]
         axes.plot(t, drawn, color=colour, lw=0.9, drawstyle=steps, label=_legend(signal, name))
     finish(axes, "", "time, s", label(signal.unit))
     if signal.width > 1:
-        axes.legend(fontsize=7, ncols=6, loc="upper right", framealpha=0.8, edgecolor="none")
+        axes.legend(fontsize=7, ncols=6, loc="lower right", bbox_to_anchor=(1.0, 1.0), edgecolor="none")
     return figure
 
 
@@ -61,11 +63,14 @@ def _draw_timing(data: StreamData) -> Figure:
     return figure
 
 
-def _strip(height: float) -> tuple[Figure, Axes]:
+def _strip(height: float, *, legend: bool = False) -> tuple[Figure, Axes]:
+    above = 0.3 if legend else 0.08
+    height += above
     figure = figure_of((10.5, height))
     figure.set_layout_engine("none")
-    bottom, top = 0.5 / height, 1.0 - 0.08 / height
+    bottom, top = 0.5 / height, 1.0 - above / height
     axes = figure.add_axes((LEFT, bottom, RIGHT - LEFT, top - bottom))
+    axes.margins(x=0.01)
     return figure, axes
 
 
