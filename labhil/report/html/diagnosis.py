@@ -31,9 +31,9 @@ from labhil.report.html.table import bullets, facts, numbers, table, text, tiles
 from labhil.report.verdicts import VERDICTS
 
 P_VALUES = {
-    "bootstrap": "It was counted in a bootstrap of this recording",
-    "tail_extrapolated": "It lies beyond what was counted, and is extrapolated from the tail of the "
-    "distribution: read its order of magnitude, not its digits",
+    "bootstrap": "It was counted in a bootstrap",
+    "tail_extrapolated": "It is extrapolated from the tail of a theoretical distribution, not counted: "
+    "read its order of magnitude, not its digits",
 }
 
 

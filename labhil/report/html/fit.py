@@ -151,6 +151,8 @@ def _windows(fit: FitPart, album: Album) -> Section | None:
         "Estimates with 99 % intervals against the length of the fitted windows; the band is the final "
         "estimate's interval. Estimates that drift say that the plant is disturbed, or physics is missing."
     )
+    if len(fit.parameters) > MOST_PANELS:
+        caption = f"{caption} The first {MOST_PANELS} of {len(fit.parameters)} parameters."
     return section(
         "How the estimates move with the window",
         table(f"The fit uses windows of {quantity(fit.window, 's')}", columns, [residuals]),
@@ -192,7 +194,7 @@ def _residuals(fit: FitPart) -> Section | None:
             _answer(tests.input_crosscorrelation_p),
         ),
     ]
-    note = "Residuals that are not white do no harm to the errors above, which allow for it."
+    note = "The standard errors above allow for residuals that are not white."
     return section("Residuals", table("Tests of the fitted residuals", columns, rows), tag("p", note))
 
 

@@ -57,7 +57,8 @@ def _draw_timing(data: StreamData) -> Figure:
     figure, axes = _strip(1.6)
     t, drawn = envelope(data.t[1:], 1e3 * np.diff(data.t))
     axes.plot(t, drawn, color=COLOURS[5], lw=0.8)
-    axes.axhline(1e3 / data.stream.rate, color=COLOURS[1], lw=0.8, ls="--", label="nominal")
+    if data.stream.rate > 0.0:
+        axes.axhline(1e3 / data.stream.rate, color=COLOURS[1], lw=0.8, ls="--", label="nominal")
     axes.set_ylim(0.0, 1.25 * float(np.nanmax(drawn)))
     finish(axes, "", "time, s", "interval, ms")
     return figure
