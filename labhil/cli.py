@@ -241,6 +241,7 @@ def fit(
         bool, typer.Option("--simultaneous", help="Intervals that hold for all parameters together.")
     ] = False,
     plot: Annotated[Path | None, typer.Option(help="Draw fit and residuals here (PNG).")] = None,
+    html: Annotated[Path | None, typer.Option(help="Write a page about it here (HTML).")] = None,
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
 ) -> None:
     """Fit a white-box model to a recording, with honest errors, and test it on data it has not seen."""
@@ -250,7 +251,7 @@ def fit(
     from labhil.report.study import fit_study, load_material
     from labhil.report.text import show_fit
 
-    refuse_unwritable(json_path, plot)
+    refuse_unwritable(json_path, plot, html)
     method = interval_method(intervals)
     material = load_material(recording, rig, test, holdout)
     tell(material.losses())
@@ -264,6 +265,10 @@ def fit(
         fit_plot(result.fit, material.judge, plot)
     if json_path is not None:
         write_json(result.json, json_path)
+    if html is not None:
+        from labhil.report.html.study import write_fit_page
+
+        write_fit_page(result, html)
 
 
 @app.command(
@@ -278,6 +283,7 @@ def diagnose(
     test: Annotated[Path | None, typer.Option(help="A separate recording to judge on.")] = None,
     holdout: Annotated[float, typer.Option(help="Share held out at the end; not used with --test.")] = 0.3,
     plot: Annotated[Path | None, typer.Option(help="Draw it here (PNG).")] = None,
+    html: Annotated[Path | None, typer.Option(help="Write a page about it here (HTML).")] = None,
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
     exit_code: Annotated[
         bool, typer.Option("--exit-code", help="End with 1 when there is a mismatch.")
@@ -287,7 +293,7 @@ def diagnose(
     from labhil.report.study import diagnose_study, load_material
     from labhil.report.text import show_diagnosis
 
-    refuse_unwritable(json_path, plot)
+    refuse_unwritable(json_path, plot, html)
     material = load_material(recording, rig, test, holdout)
     tell(material.losses())
     with status() as say:
@@ -299,6 +305,10 @@ def diagnose(
         from labhil.report.plots import diagnosis_plot
 
         diagnosis_plot(result.diagnosis, material.judge, plot)
+    if html is not None:
+        from labhil.report.html.study import write_diagnosis_page
+
+        write_diagnosis_page(result, html)
     if exit_code and result.diagnosis.verdict != "no_mismatch":
         raise typer.Exit(1)
 

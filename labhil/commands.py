@@ -1,4 +1,4 @@
-"""Commands that are studies of their own: baselines, benchmarks, designs, the reference text."""
+"""Commands that are studies of their own: pages, baselines, benchmarks, designs, the reference text."""
 
 from __future__ import annotations
 
@@ -12,10 +12,27 @@ from labhil.console import refuse_unwritable, results_console, split_names, stat
 
 def add_studies(app: typer.Typer) -> None:
     """Register these commands."""
+    app.command(epilog="Example: labhil report diagnosis.json -o diagnosis.html")(report)
     app.command(epilog="Example: labhil linear run.mcap --test test.mcap --models arx,oe")(linear)
     app.command(epilog="Example: labhil optimise solenoid --plot design.png")(optimise)
     app.command(epilog="Example: labhil reference 5.3 5.5 --quick")(reference)
     app.command(epilog="Example: labhil benchmark dc_motor --recordings 20 -o bench")(benchmark)
+
+
+def report(
+    result: Annotated[
+        Path,
+        typer.Argument(metavar="OUT.json|REC.mcap", help="The JSON of a fit or diagnosis, or a recording."),
+    ],
+    out: Annotated[Path, typer.Option("-o", "--out", help="The page to write (.html).")],
+) -> None:
+    """Make one HTML page of a result or of a recording: complete in itself, to be read, printed or sent."""
+    from labhil.report.html.page import write_page
+    from labhil.report.html.report import report_page
+
+    refuse_unwritable(out)
+    write_page(report_page(result), out)
+    print(out)
 
 
 def linear(

@@ -25,8 +25,10 @@ def write_json(data: dict[str, Any], path: Path | None = None) -> None:
 
 
 def refuse_unwritable(*paths: Path | None) -> None:
-    """Raise UsageError for a result's path whose folder is not there, before the work and not after it."""
+    """Raise UsageError for a result's path that cannot be a file there, before the work and not after it."""
     for path in paths:
+        if path is not None and path.is_dir():
+            raise UsageError(f"{path}: expected a file to write, found a folder")
         if path is not None and not path.parent.is_dir():
             raise UsageError(f"{path}: expected a folder {path.parent} to write into, found none")
 

@@ -234,14 +234,13 @@ def _location(found: Found, before: Score, after: Score, held_out: Record) -> lo
     shares = {step.terms[0]: locate.contribution(found.final, step.terms[0]) for step in found.missing}
     regimes = {term: share.regimes() for term, share in shares.items()}
     channel, joint = _channel(before, after)
-    units = {name: unit for share in shares.values() for name, unit in share.units.items()}
     return locate.Location(
         channel=channel,
         joint=joint,
         enters=strongest.enters.value,
         times=locate.times(before, after, held_out.t),
         regimes=tuple(regime for found in regimes.values() for regime in found),
-        statement=locate.statement(keyed(channel, joint), strongest, regimes, units),
+        statement=locate.statement(keyed(channel, joint), strongest, regimes),
     )
 
 

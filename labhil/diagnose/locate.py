@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,6 +38,7 @@ class Regime:
     low: float
     high: float
     share_of_excess: float
+    unit: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +68,8 @@ class Contribution:
 
     def regimes(self) -> tuple[Regime, ...]:
         """Where most of it lives, as one to three stretches of one coordinate; none if it is everywhere."""
-        return regimes({name: self.coordinates[name] for name in self.units}, self.values**2)
+        found = regimes({name: self.coordinates[name] for name in self.units}, self.values**2)
+        return tuple(replace(regime, unit=self.units[regime.coordinate]) for regime in found)
 
 
 def contribution(final: Fitted, term: str) -> Contribution:
@@ -196,9 +198,7 @@ def times(before: Score, after: Score, t: FloatArray, most: int = 5) -> tuple[tu
     return tuple(spans)
 
 
-def statement(
-    channel: str, strongest: Term, regimes: Mapping[str, tuple[Regime, ...]], units: Mapping[str, str]
-) -> str:
+def statement(channel: str, strongest: Term, regimes: Mapping[str, tuple[Regime, ...]]) -> str:
     """One plain sentence: which effect is the strongest, where it enters, and where an effect lives."""
     begin = f"What {channel} is off by enters by the {strongest.enters.value} (most of it {strongest.key})"
     named = next(((term, found) for term, found in regimes.items() if found), None)
@@ -206,7 +206,7 @@ def statement(
         return f"{begin} and is spread over all regimes that were visited."
     term, stretches = named
     share = sum(regime.share_of_excess for regime in stretches)
-    unit = units.get(stretches[0].coordinate, "")
-    between = " or ".join(f"between {r.low:.3g} and {r.high:.3g}" for r in stretches)
-    lives = f"{share:.0%} of {term} lives at {stretches[0].coordinate} {between} {unit}".rstrip()
+    between = " or ".join(f"between {r.low:.3g} and {r.high:.3g}" for r in stretches).replace("-", "−")
+    where = f"{stretches[0].coordinate} {between} {stretches[0].unit}".rstrip()
+    lives = f"{100 * share:.0f} % of {term} lives at {where}"
     return f"{begin}; {lives}."

@@ -6,12 +6,14 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from labhil.identify.fit import Fit
 from labhil.identify.score import ChannelScore, Score
 from labhil.physics.model import Record
 from labhil.physics.terms import keyed
-from labhil.report.plots import AFTER, MEASURED, broken, figure_of, finish, save
+from labhil.report.figure import AFTER, MEASURED, figure_of, finish, save
+from labhil.report.plots import broken
 from labhil.signals import FloatArray
 
 LAGS = 60
@@ -25,16 +27,22 @@ def fit_plot(fit: Fit, judged: Record, path: Path) -> None:
     holds the scored simulation, its errors with the noise floor, their histogram with the normal curve of
     the same spread, and the autocorrelation of the fitted residuals with the 99 % band of white noise.
     """
+    save(fit_figure(fit, judged), path)
+
+
+def fit_figure(fit: Fit, judged: Record, columns: int = 4) -> Figure:
+    """The four panels of each channel as a figure, in so many columns (4, 2 or 1)."""
     score = fit.test or fit.train
     shown = score.channels[:MOST_CHANNELS]
-    figure = figure_of((15.0, 3.4 * len(shown)))
-    rows = figure.subplots(len(shown), 4, squeeze=False)
+    height = len(shown) * 4 // columns
+    figure = figure_of((3.75 * columns if columns == 4 else 5.5 * columns, 3.4 * height))
+    rows = figure.subplots(height, columns, squeeze=False).reshape(len(shown), 4)
     for j, channel in enumerate(shown):
         _draw_simulation(rows[j, 0], score, channel, j, judged)
         _draw_errors(rows[j, 1], score, channel, j, judged)
         _draw_histogram(rows[j, 2], score.errors[:, j], channel)
         _draw_autocorrelation(rows[j, 3], fit.residuals[:, j])
-    save(figure, path)
+    return figure
 
 
 def _name(channel: ChannelScore) -> str:

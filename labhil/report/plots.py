@@ -4,21 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from labhil.diagnose import locate
 from labhil.diagnose.diagnosis import Diagnosis
-from labhil.errors import UsageError
 from labhil.identify.score import Score
 from labhil.physics.model import Record
 from labhil.physics.terms import keyed
+from labhil.report.figure import AFTER, BEFORE, MEASURED, figure_of, finish, save
 from labhil.signals import FloatArray
-
-BEFORE, AFTER, MEASURED = "#c8553d", "#2a7f62", "#444444"
 
 
 def diagnosis_plot(diagnosis: Diagnosis, held_out: Record, path: Path) -> None:
@@ -26,21 +22,18 @@ def diagnosis_plot(diagnosis: Diagnosis, held_out: Record, path: Path) -> None:
 
     UsageError when the file cannot be written or its extension is no format of pictures.
     """
+    save(diagnosis_figure(diagnosis, held_out), path)
+
+
+def diagnosis_figure(diagnosis: Diagnosis, held_out: Record) -> Figure:
+    """The four panels as a figure; ``held_out`` is the record that the scores come from."""
     figure = figure_of((11.0, 8.0))
     axes = figure.subplots(2, 2)
     _draw_windows(axes[0, 0], diagnosis, held_out)
     _draw_errors(axes[0, 1], diagnosis, held_out)
     _draw_missing(axes[1, 0], diagnosis)
     _draw_histogram(axes[1, 1], diagnosis)
-    save(figure, path)
-
-
-def save(figure: Figure, path: Path) -> None:
-    """Write a figure; UsageError when the file cannot be written or it is no format of pictures."""
-    try:
-        figure.savefig(path, dpi=110)
-    except (OSError, ValueError) as error:
-        raise UsageError(f"{path}: the plot cannot be written: {error}") from error
+    return figure
 
 
 def broken(score: Score, values: FloatArray) -> FloatArray:
@@ -48,30 +41,30 @@ def broken(score: Score, values: FloatArray) -> FloatArray:
     return np.asarray(np.where(np.r_[True, np.diff(score.window) > 0], np.nan, values))
 
 
-def figure_of(size: tuple[float, float]) -> Figure:
-    """An empty figure of this size (inches) that needs no display."""
-    with mpl.rc_context({"axes.grid": True}):
-        figure = Figure(figsize=size, layout="constrained")
-    FigureCanvasAgg(figure)
+def channel_figure(diagnosis: Diagnosis, held_out: Record, j: int) -> Figure:
+    """Simulation and errors of output channel ``j`` as a figure: for rigs that have more than one."""
+    figure = figure_of((11.0, 3.6))
+    axes = figure.subplots(1, 2)
+    _draw_windows(axes[0], diagnosis, held_out, j)
+    _draw_errors(axes[1], diagnosis, held_out, j)
     return figure
 
 
-def _draw_windows(axes: Axes, diagnosis: Diagnosis, record: Record) -> None:
+def _draw_windows(axes: Axes, diagnosis: Diagnosis, record: Record, j: int = 0) -> None:
     rows = diagnosis.after.rows
-    t, measured = record.t[rows], record.outputs[rows, 0]
-    channel = diagnosis.after.channels[0]
+    t, measured = record.t[rows], record.outputs[rows, j]
+    channel = diagnosis.after.channels[j]
     axes.plot(t, measured, color=MEASURED, lw=2.5, alpha=0.5, label="measured")
-    for score, colour, label in _both(diagnosis):
-        axes.plot(t, broken(score, measured + score.errors[:, 0]), color=colour, lw=1.0, label=label)
-    finish(
-        axes, "Simulated windows on data the search never saw", "t, s", f"{channel.channel}, {channel.unit}"
-    )
+    for score, colour, label in _both(diagnosis, j):
+        axes.plot(t, broken(score, measured + score.errors[:, j]), color=colour, lw=1.0, label=label)
+    name = keyed(channel.channel, channel.joint)
+    finish(axes, "Simulated windows on data the search never saw", "t, s", f"{name}, {channel.unit}")
 
 
-def _draw_errors(axes: Axes, diagnosis: Diagnosis, record: Record) -> None:
-    channel = diagnosis.after.channels[0]
-    for score, colour, label in _both(diagnosis):
-        axes.plot(record.t[score.rows], broken(score, score.errors[:, 0]), color=colour, lw=1.0, label=label)
+def _draw_errors(axes: Axes, diagnosis: Diagnosis, record: Record, j: int = 0) -> None:
+    channel = diagnosis.after.channels[j]
+    for score, colour, label in _both(diagnosis, j):
+        axes.plot(record.t[score.rows], broken(score, score.errors[:, j]), color=colour, lw=1.0, label=label)
     axes.axhspan(-channel.noise_floor, channel.noise_floor, color="k", alpha=0.12, label="noise floor")
     finish(axes, "Error", "t, s", channel.unit)
 
@@ -108,20 +101,10 @@ def _draw_histogram(axes: Axes, diagnosis: Diagnosis) -> None:
     finish(axes, "Errors (outliers at the edges)", f"error, {channel.unit}", "samples")
 
 
-def _both(diagnosis: Diagnosis) -> list[tuple[Score, str, str]]:
+def _both(diagnosis: Diagnosis, j: int = 0) -> list[tuple[Score, str, str]]:
     before, after = diagnosis.before, diagnosis.after
-    unit = before.channels[0].unit
+    unit = before.channels[j].unit
     return [
-        (before, BEFORE, f"before: RMSE {before.channels[0].rmse:.3g} {unit}"),
-        (after, AFTER, f"after: RMSE {after.channels[0].rmse:.3g} {unit}"),
+        (before, BEFORE, f"before: RMSE {before.channels[j].rmse:.3g} {unit}"),
+        (after, AFTER, f"after: RMSE {after.channels[j].rmse:.3g} {unit}"),
     ]
-
-
-def finish(axes: Axes, title: str, x: str, y: str) -> None:
-    """Title, labels, grid and, where something is labelled, a legend."""
-    axes.set_title(title, loc="left", fontsize=10, fontweight="bold")
-    axes.set_xlabel(x)
-    axes.set_ylabel(y)
-    axes.grid(alpha=0.3)
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(fontsize=8, markerscale=4, framealpha=0.8, edgecolor="none")

@@ -13,15 +13,7 @@ from labhil.identify.fit import Fit
 from labhil.identify.score import Score
 from labhil.identify.statistics import Estimate
 from labhil.physics.terms import keyed
-
-VERDICTS = {
-    "no_mismatch": "No mismatch: the data do not contradict the baseline.",
-    "parameter_change": "Parameters have changed; no physics is missing.",
-    "missing_physics": "Physics is missing from the baseline.",
-    "unexplained_mismatch": "There is a mismatch that no term of the catalogue explains.",
-    "data_fault": "The data are at fault.",
-    "not_decidable": "These data cannot tell.",
-}
+from labhil.report.verdicts import VERDICTS
 
 
 def show_fit(fit: Fit, console: Console) -> None:

@@ -1,0 +1,40 @@
+"""An empty figure, its colours and its labels: what all pictures of results share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from labhil.errors import UsageError
+
+BEFORE, AFTER, MEASURED = "#c8553d", "#2a7f62", "#444444"
+
+
+def figure_of(size: tuple[float, float]) -> Figure:
+    """An empty figure of this size (inches) that needs no display."""
+    with mpl.rc_context({"axes.grid": True}):
+        figure = Figure(figsize=size, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def finish(axes: Axes, title: str, x: str, y: str) -> None:
+    """Title, labels, grid and, where something is labelled, a legend."""
+    axes.set_title(title, loc="left", fontsize=10, fontweight="bold")
+    axes.set_xlabel(x)
+    axes.set_ylabel(y)
+    axes.grid(alpha=0.3)
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(fontsize=8, markerscale=4, framealpha=0.8, edgecolor="none")
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure; UsageError when the file cannot be written or it is no format of pictures."""
+    try:
+        figure.savefig(path, dpi=110)
+    except (OSError, ValueError) as error:
+        raise UsageError(f"{path}: the plot cannot be written: {error}") from error

@@ -1,0 +1,1 @@
+"""Results and recordings as pages: one HTML file each, complete in itself."""

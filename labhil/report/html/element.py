@@ -1,0 +1,58 @@
+"""HTML elements as values: every text is escaped where it enters, so that no page has to think of it."""
+
+from __future__ import annotations
+
+import html
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+VOID = frozenset({"br", "hr", "meta", "img", "col", "wbr"})
+
+UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
+"""Characters that HTML does not allow, or that UTF-8 cannot carry (undecodable bytes of a path)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Markup:
+    """Text that is HTML already."""
+
+    text: str
+
+
+Content = Markup | str | int | None
+
+
+def clean(text: str) -> str:
+    """Text with a replacement character for each that no page can hold."""
+    return UNPRINTABLE.sub("\N{REPLACEMENT CHARACTER}", text)
+
+
+def tag(name: str, /, *content: Content, **attributes: str | int | None) -> Markup:
+    """An element with its content and attributes; ``class_`` is ``class``, ``aria_label`` is ``aria-label``.
+
+    Attributes that are None are left out.
+    """
+    told = "".join(
+        f' {key.rstrip("_").replace("_", "-")}="{_escaped(str(value))}"'
+        for key, value in attributes.items()
+        if value is not None
+    )
+    if name in VOID:
+        return Markup(f"<{name}{told}>")
+    return Markup(f"<{name}{told}>{joined(content).text}</{name}>")
+
+
+def joined(content: Iterable[Content]) -> Markup:
+    """Pieces one after another, as one."""
+    return Markup("".join(_html(piece) for piece in content))
+
+
+def _html(piece: Content) -> str:
+    if piece is None:
+        return ""
+    return piece.text if isinstance(piece, Markup) else _escaped(str(piece))
+
+
+def _escaped(text: str) -> str:
+    return html.escape(clean(text), quote=True)

@@ -1,0 +1,257 @@
+"""A fit as a page: parameters with honest errors, what the data cannot know, scores, residuals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from labhil.physics.terms import keyed
+from labhil.report.figure import AFTER, MEASURED, figure_of, finish
+from labhil.report.html.element import Content, Markup, tag
+from labhil.report.html.model import (
+    intervals_picture,
+    names,
+    parameters_table,
+    recordings_table,
+    warning,
+)
+from labhil.report.html.page import Page, Section, present, section
+from labhil.report.html.picture import Album, label
+from labhil.report.html.quantity import count, multiple, p_value, percent, quantity
+from labhil.report.html.schema import ChannelErrors, FitPart, IdentifiabilityPart, ParameterRow, ScorePart
+from labhil.report.html.table import bullets, facts, numbers, table, text, tiles
+from labhil.signals import FloatArray
+
+NORMAL_99 = 2.576
+ALPHA = 0.01
+PANELS_IN_ROW = 3
+MOST_PANELS = 36
+MOST_CORRELATED = 60
+
+
+def fit_page(fit: FitPart, foot: str, album: Album, pictures: Sequence[Markup] = ()) -> Page:
+    """The page of a fit; ``pictures`` are those that need the data, and stand under the scores."""
+    return Page(
+        kind=f"Fit of a white-box model · {fit.rig}",
+        title=f"Fit of {fit.rig}",
+        headline=_headline(fit),
+        tone="plain",
+        lead=_lead(fit),
+        sections=present(
+            _parameters(fit, album),
+            _identifiability(fit.identifiability),
+            _scores(fit, pictures),
+            _windows(fit, album),
+            _residuals(fit),
+            _correlations(fit, album),
+            _method(fit),
+        ),
+        foot=foot,
+    )
+
+
+def _judge(fit: FitPart) -> tuple[ScorePart, str]:
+    return (
+        (fit.train, "the data it was fitted to") if fit.test is None else (fit.test, "data it has not seen")
+    )
+
+
+def _headline(fit: FitPart) -> str:
+    judge, data = _judge(fit)
+    number = len(fit.parameters)
+    what = "1 parameter" if number == 1 else f"{number} parameters"
+    return f"A model of {fit.rig} with {what}: R² {percent(judge.r2)} on {data}."
+
+
+def _lead(fit: FitPart) -> tuple[Content, ...]:
+    judge, data = _judge(fit)
+    unit = judge.per_channel[0].unit if len(judge.per_channel) == 1 else ""
+    known = fit.identifiability
+    figures = tiles(
+        (
+            ("RMSE", quantity(judge.rmse, unit), f"on {data}"),
+            ("Noise floor", quantity(judge.noise_floor, unit), "what a perfect model would reach"),
+            ("RMSE ÷ noise floor", multiple(judge.rmse, judge.noise_floor), "1 × is as good as can be"),
+            ("Parameters known", f"{known.rank} of {known.of}", "identifiable from these data"),
+        )
+    )
+    terms = tag("p", "Terms: ", names(fit.terms), ".", class_="lead")
+    unsettled = None if fit.converged else warning("The search stopped before it had settled.")
+    return terms, unsettled, figures
+
+
+def _parameters(fit: FitPart, album: Album) -> Section | None:
+    together = ", all together" if fit.intervals.simultaneous else ""
+    caption = (
+        f"Standard errors are robust to correlated residuals; 99 % intervals by {fit.intervals.method}"
+        f"{together}; the reference text's own error stands beside for comparison only"
+    )
+    return section(
+        "Parameters",
+        parameters_table(fit.parameters, caption, reference=True),
+        intervals_picture(album, fit.parameters),
+    )
+
+
+def _identifiability(known: IdentifiabilityPart) -> Section | None:
+    lines: list[Content] = []
+    if known.combinations:
+        lines.append(tag("p", "Where single values are not known, these combinations are:"))
+        lines.append(bullets(tag("code", name) for name in known.combinations))
+    if known.would_help:
+        lines.append(tag("p", f"It would help to know or to record: {', '.join(known.would_help)}."))
+    everything = "These data know every parameter." if known.rank == known.of else None
+    some = f"These data know {known.rank} of {known.of} directions among the parameters."
+    return section("What the data can know", tag("p", everything or some), *lines)
+
+
+def _scores(fit: FitPart, pictures: Sequence[Markup]) -> Section | None:
+    columns = (
+        *text("Data", "Channel"),
+        *numbers("RMSE", "Noise floor", "RMSE ÷ floor", "Largest error", "MSE", "R²"),
+    )
+    rows = [_channel("train", channel) for channel in fit.train.per_channel]
+    if fit.test is not None:
+        rows += [_channel("test", channel) for channel in fit.test.per_channel]
+    if fit.train.metric == "inverse_dynamics":
+        caption = "Errors of inverse dynamics"
+    else:
+        caption = f"Errors of simulated windows of {quantity(fit.train.horizon, 's')}"
+    return section("How well it predicts", table(caption, columns, rows), *pictures)
+
+
+def _channel(data: str, channel: ChannelErrors) -> list[Content]:
+    return [
+        data,
+        tag("code", keyed(channel.channel, channel.joint)),
+        quantity(channel.rmse, channel.unit),
+        quantity(channel.noise_floor, channel.unit),
+        multiple(channel.rmse, channel.noise_floor),
+        quantity(channel.max_abs_error, channel.unit),
+        quantity(channel.mse, _squared(channel.unit)),
+        percent(channel.r2),
+    ]
+
+
+def _squared(unit: str) -> str:
+    if unit in ("", "1"):
+        return ""
+    return f"{unit}²" if unit.isalpha() else f"({unit})²"
+
+
+def _windows(fit: FitPart, album: Album) -> Section | None:
+    if len(fit.by_window) < 2:
+        return None
+    columns = (*text("Windows of"), *numbers(*(quantity(rung.window, "s") for rung in fit.by_window)))
+    residuals = ("Residual ÷ noise", *(quantity(rung.residual, digits=3) for rung in fit.by_window))
+    caption = (
+        "Estimates with 99 % intervals against the length of the fitted windows; the band is the final "
+        "estimate's interval. Estimates that drift say that the plant is disturbed, or physics is missing."
+    )
+    if len(fit.parameters) > MOST_PANELS:
+        caption = f"{caption} The first {MOST_PANELS} of {len(fit.parameters)} parameters."
+    return section(
+        "How the estimates move with the window",
+        table(f"The fit uses windows of {quantity(fit.window, 's')}", columns, [residuals]),
+        album.picture(caption, lambda: _draw_windows(fit)),
+    )
+
+
+def _draw_windows(fit: FitPart) -> Figure:
+    drawn = [row for row in fit.parameters if keyed(row.name, row.joint) in fit.by_window[0].values]
+    drawn = drawn[:MOST_PANELS]
+    height = max(1, -(-len(drawn) // PANELS_IN_ROW))
+    figure = figure_of((10.5, 2.1 * height + 0.3))
+    panels = figure.subplots(height, PANELS_IN_ROW, squeeze=False).ravel()
+    for axes in panels[len(drawn) :]:
+        axes.set_axis_off()
+    for axes, row in zip(panels, drawn, strict=False):
+        key = keyed(row.name, row.joint)
+        places = range(len(fit.by_window))
+        values = np.array([rung.values.get(key) for rung in fit.by_window], dtype=np.float64)
+        errors = np.array([rung.std_errors.get(key) for rung in fit.by_window], dtype=np.float64)
+        if row.ci99 is not None and row.ci99[0] is not None and row.ci99[1] is not None:
+            axes.axhspan(row.ci99[0], row.ci99[1], color=MEASURED, alpha=0.13, lw=0)
+        axes.errorbar(places, values, NORMAL_99 * errors, fmt="o-", color=AFTER, ms=4, lw=1.0, capsize=3)
+        axes.set_xticks(places, [f"{rung.window:.3g}" for rung in fit.by_window])
+        finish(axes, "", "", label(row.unit))
+        axes.set_title(label(key), loc="left", fontsize=9)
+    figure.supxlabel("length of the fitted windows, s", fontsize=9)
+    return figure
+
+
+def _residuals(fit: FitPart) -> Section | None:
+    tests = fit.residuals
+    columns = (*text("Question"), *numbers("p"), *text("Answer at 1 %"))
+    rows = [
+        ("Are the residuals white? (Ljung-Box)", p_value(tests.ljung_box_p), _answer(tests.ljung_box_p)),
+        (
+            "Are they free of the input? (cross-correlation)",
+            p_value(tests.input_crosscorrelation_p),
+            _answer(tests.input_crosscorrelation_p),
+        ),
+    ]
+    note = "The standard errors above allow for residuals that are not white."
+    return section("Residuals", table("Tests of the fitted residuals", columns, rows), tag("p", note))
+
+
+def _answer(p: float | None) -> str:
+    if p is None:
+        return "not known"
+    return "nothing speaks against it" if p >= ALPHA else "no"
+
+
+def _correlations(fit: FitPart, album: Album) -> Section | None:
+    square = {len(row) for row in fit.covariance} == {len(fit.covariance)}
+    if not square or not 2 <= len(fit.covariance) <= MOST_CORRELATED:
+        return None
+    if len(fit.covariance) != len(fit.parameters):
+        return None
+    caption = "Correlations of the estimates. Near ±1: the data know a combination, not the two values."
+    return section(
+        "Correlations", album.picture(caption, lambda: _draw_correlations(fit.covariance, fit.parameters))
+    )
+
+
+def _draw_correlations(
+    covariance: tuple[tuple[float | None, ...], ...], rows: Sequence[ParameterRow]
+) -> Figure:
+    matrix = np.array(covariance, dtype=np.float64)
+    spread = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    scale = np.outer(spread, spread)
+    correlation = np.divide(matrix, scale, out=np.full_like(matrix, np.nan), where=scale > 0.0)
+    figure = figure_of((10.0, min(9.0, 1.0 + 0.4 * len(rows))))
+    axes = figure.subplots()
+    image = axes.imshow(correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0, aspect="auto")
+    axes.set_yticks(
+        range(len(rows)),
+        [f"{label(keyed(row.name, row.joint))}  {i}" for i, row in enumerate(rows, 1)],
+        fontsize=8,
+    )
+    axes.set_xticks(range(len(rows)), [str(i + 1) for i in range(len(rows))], fontsize=8)
+    if len(rows) <= 12:
+        _write_numbers(axes, correlation)
+    figure.colorbar(image, ax=axes, pad=0.01)
+    return figure
+
+
+def _write_numbers(axes: Axes, correlation: FloatArray) -> None:
+    for (i, j), value in np.ndenumerate(correlation):
+        if np.isfinite(value):
+            colour = "white" if abs(value) > 0.6 else "black"
+            axes.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=7, color=colour)
+
+
+def _method(fit: FitPart) -> Section | None:
+    told = facts(
+        (
+            ("Estimator", f"{fit.estimator}, seed {fit.seed}" if fit.estimator else "not told"),
+            ("Fitted windows", quantity(fit.window, "s")),
+            ("Simulations", count(fit.evaluations)),
+            ("Time taken", quantity(fit.seconds, "s", digits=3)),
+        )
+    )
+    return section("Recordings and method", recordings_table(fit.recordings), told)

@@ -1,0 +1,102 @@
+"""The frame of every page: head, style, headline, contents, sections, foot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+
+from labhil import __version__
+from labhil.errors import UsageError
+from labhil.report.html.element import Content, Markup, joined, tag
+
+POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+"""What a browser may load for a page: nothing from anywhere, and no scripts."""
+
+FEWEST_FOR_CONTENTS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A part of a page under its own heading."""
+
+    title: str
+    content: tuple[Content, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """A page; ``tone`` colours its headline (a verdict, or "plain"), ``lead`` stands before all sections."""
+
+    kind: str
+    title: str
+    headline: str
+    tone: str
+    lead: tuple[Content, ...]
+    sections: tuple[Section, ...]
+    foot: str
+
+    def html(self) -> str:
+        """The whole file."""
+        head = tag(
+            "head",
+            tag("meta", charset="utf-8"),
+            tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
+            tag("meta", http_equiv="Content-Security-Policy", content=POLICY),
+            tag("meta", name="color-scheme", content="light dark"),
+            tag("title", self.title),
+            tag("style", _style()),
+        )
+        body = tag("body", _header(self), tag("main", *_body(self)), _footer(self))
+        return f"<!DOCTYPE html>\n{tag('html', head, body, lang='en-GB').text}\n"
+
+
+def section(title: str, *content: Content) -> Section | None:
+    """A section, or None when nothing stands in it."""
+    return Section(title, content) if any(piece is not None for piece in content) else None
+
+
+def present(*sections: Section | None) -> tuple[Section, ...]:
+    """The sections that are there."""
+    return tuple(part for part in sections if part is not None)
+
+
+def write_page(page: Page, path: Path) -> None:
+    """Write a page; UsageError when the file cannot be written."""
+    try:
+        path.write_text(page.html(), encoding="utf-8")
+    except OSError as error:
+        raise UsageError(f"{path}: the page cannot be written: {error}") from error
+
+
+def _header(page: Page) -> Markup:
+    return tag(
+        "header",
+        tag("p", page.kind, class_="kind"),
+        tag("h1", page.headline),
+        class_=page.tone,
+    )
+
+
+def _body(page: Page) -> list[Content]:
+    parts: list[Content] = [*page.lead]
+    if len(page.sections) >= FEWEST_FOR_CONTENTS:
+        parts.append(_contents(page))
+    parts += [
+        tag("section", tag("h2", part.title, id=f"part-{i}"), *part.content, aria_labelledby=f"part-{i}")
+        for i, part in enumerate(page.sections, 1)
+    ]
+    return parts
+
+
+def _contents(page: Page) -> Markup:
+    links = [tag("a", part.title, href=f"#part-{i}") for i, part in enumerate(page.sections, 1)]
+    return tag("nav", tag("ul", *(tag("li", link) for link in links)), aria_label="Contents")
+
+
+def _footer(page: Page) -> Markup:
+    return tag("footer", tag("p", joined((page.foot, f" Written by labhil {__version__}."))))
+
+
+def _style() -> Markup:
+    return Markup((files("labhil.report.html") / "style.css").read_text(encoding="utf-8"))

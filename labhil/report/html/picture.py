@@ -1,0 +1,79 @@
+"""Figures as SVG inside a page."""
+
+from __future__ import annotations
+
+import io
+import re
+import warnings
+from collections.abc import Callable
+from itertools import count
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.collections import PathCollection
+from matplotlib.figure import Figure
+
+from labhil.report.html.element import Markup, clean, tag
+
+SETTINGS: dict[Any, Any] = {
+    "svg.fonttype": "none",  # text stays text: small, sharp, found by a search
+    "svg.hashsalt": "labhil",  # the same figure makes the same file
+    "text.parse_math": False,  # a dollar sign in a signal's name is no formula
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
+MOST_DOTS = 500
+"""A scatter of more dots than that is embedded as pixels: each dot would be an element."""
+
+LONG_DECIMAL = re.compile(r"(\.\d\d)\d+")
+
+NO_METADATA = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+
+
+class Album:
+    """The pictures of one page, numbered, so that no two of them share an identifier."""
+
+    def __init__(self) -> None:
+        self._numbers = count(1)
+
+    def picture(self, caption: str, draw: Callable[[], Figure]) -> Markup:
+        """A figure with its caption, which is also its text for those who cannot see it."""
+        with mpl.rc_context(SETTINGS), warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message=".*[Gg]lyph", category=UserWarning)
+            svg = _svg(draw(), f"f{next(self._numbers)}-", caption)
+        return tag("figure", svg, tag("figcaption", caption))
+
+
+def _svg(figure: Figure, prefix: str, title: str) -> Markup:
+    for axes in figure.axes:
+        for dots in axes.collections:
+            if isinstance(dots, PathCollection):
+                dots.set_rasterized(np.asarray(dots.get_offsets()).shape[0] > MOST_DOTS)
+    file = io.StringIO()
+    figure.savefig(file, format="svg", dpi=150, metadata=NO_METADATA)
+    drawn = file.getvalue()
+    drawn = drawn[drawn.index("<svg") :]
+    drawn = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", drawn, count=1)
+    drawn = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", drawn, count=1)
+    label = tag("svg", role="img", aria_label=title).text.removeprefix("<svg").removesuffix("></svg>")
+    return Markup(_prefixed(_slim(drawn.replace("<svg", f"<svg{label}", 1)), prefix))
+
+
+def _slim(svg: str) -> str:
+    """The same drawing without what the page's own style says, and with coordinates to a hundredth."""
+    svg = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>", "", svg, count=1, flags=re.DOTALL)
+    svg = re.sub(r" font-family: [^;\"]*sans-serif;", "", svg)
+    return re.sub(r' d="[^"]*"', lambda path: LONG_DECIMAL.sub(r"\1", path[0].replace("\n", "")), svg)
+
+
+def _prefixed(svg: str, prefix: str) -> str:
+    """The same drawing with all its identifiers, and what refers to them, under a prefix."""
+    svg = re.sub(r'(\sid=")', rf"\g<1>{prefix}", svg)
+    svg = re.sub(r'((?:xlink:)?href="#)', rf"\g<1>{prefix}", svg)
+    return re.sub(r"(url\(#)", rf"\g<1>{prefix}", svg)
+
+
+def label(text: str, unit: str = "") -> str:
+    """What stands at an axis: name and unit."""
+    return clean(f"{text}, {unit}" if unit else text)

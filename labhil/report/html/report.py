@@ -1,0 +1,40 @@
+"""From a file to its page: what kind it is, and which page that makes."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+from labhil.errors import ModelFileError
+from labhil.recording.chunks import is_mcap
+from labhil.recording.reader import read_recording
+from labhil.report.html.diagnosis import diagnosis_page
+from labhil.report.html.fit import fit_page
+from labhil.report.html.page import Page
+from labhil.report.html.picture import Album
+from labhil.report.html.recording import recording_page
+from labhil.report.html.schema import DiagnosisPart, json_of, result_of
+
+
+def report_page(path: Path) -> Page:
+    """The page of a recording, or of the JSON of a fit or a diagnosis.
+
+    Raises RecordingError or ModelFileError when the file is neither, with what was expected.
+    """
+    data = _bytes_of(path)
+    foot = f"Made from {path}, SHA-256 {hashlib.sha256(data).hexdigest()}."
+    if is_mcap(data) or path.suffix == ".mcap":
+        return recording_page(read_recording(path), f"Made from {path}.", Album())
+    result = result_of(json_of(data, str(path)), str(path))
+    if isinstance(result, DiagnosisPart):
+        return diagnosis_page(result, foot, Album())
+    return fit_page(result, foot, Album())
+
+
+def _bytes_of(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise ModelFileError(
+            f"{path}: expected a recording (MCAP) or the JSON of a result, cannot be read: {error.strerror}"
+        ) from error

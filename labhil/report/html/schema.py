@@ -1,0 +1,326 @@
+"""Results as they stand in JSON files: read, checked, and with names that a type checker knows.
+
+Only what a page shows is asked for; keys that are not known here pass unseen, so that a page can be made
+of a result with more in it.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any, Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from labhil.errors import ModelFileError
+
+Number = float | None
+Interval = tuple[Number, Number]
+
+
+class Part(BaseModel):
+    """A piece of a result; no number in it is infinite."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+
+class Source(Part):
+    """A recording that a result comes from."""
+
+    path: str
+    sha256: str = ""
+    rig: str = ""
+    samples: int
+    duration: Number = None
+    role: str = ""
+
+
+class ParameterRow(Part):
+    """One estimated parameter."""
+
+    name: str
+    term: str | None = None
+    joint: int | None = None
+    value: Number
+    unit: str = ""
+    std_error: Number = None
+    std_error_reference: Number = None
+    ci99: Interval | None = None
+    z: Number = None
+    p_value: Number = None
+    significant: bool | None = None
+    identifiable: bool = True
+    at_bound: bool = False
+
+
+class ChannelErrors(Part):
+    """How well one channel is simulated."""
+
+    channel: str
+    joint: int | None = None
+    unit: str = ""
+    mse: Number = None
+    rmse: Number
+    max_abs_error: Number = None
+    r2: Number = None
+    noise_floor: Number = None
+
+
+class ScorePart(Part):
+    """Errors on one set of data."""
+
+    metric: str = "windowed_simulation"
+    horizon: Number = None
+    rmse: Number
+    r2: Number = None
+    noise_floor: Number = None
+    per_channel: tuple[ChannelErrors, ...]
+
+
+class IdentifiabilityPart(Part):
+    """What the data cannot know."""
+
+    rank: int
+    of: int
+    combinations: tuple[str, ...] = ()
+    would_help: tuple[str, ...] = ()
+
+
+class ResidualTests(Part):
+    """Whether residuals are white and free of the input."""
+
+    ljung_box_p: Number = None
+    input_crosscorrelation_p: Number = None
+
+
+class IntervalsPart(Part):
+    """How intervals were made."""
+
+    method: str = "wald"
+    simultaneous: bool = False
+
+
+class WindowPart(Part):
+    """Estimates with fitted windows of one length."""
+
+    window: float
+    residual: Number = None
+    values: dict[str, Number]
+    std_errors: dict[str, Number]
+
+
+class FitPart(Part):
+    """`labhil.fit/1`."""
+
+    recordings: tuple[Source, ...]
+    rig: str
+    estimator: str = ""
+    seed: int = 0
+    terms: tuple[str, ...]
+    parameters: tuple[ParameterRow, ...]
+    covariance: tuple[tuple[Number, ...], ...] = ()
+    identifiability: IdentifiabilityPart
+    train: ScorePart
+    test: ScorePart | None = None
+    residuals: ResidualTests = ResidualTests()
+    intervals: IntervalsPart = IntervalsPart()
+    window: Number = None
+    by_window: tuple[WindowPart, ...] = ()
+    converged: bool = True
+    evaluations: int = 0
+    seconds: Number = None
+
+
+class BaselinePart(Part):
+    """A model: its terms and parameters."""
+
+    terms: tuple[str, ...]
+    parameters: tuple[ParameterRow, ...]
+
+
+class ChangePart(Part):
+    """A parameter that is not what the reference says."""
+
+    name: str
+    joint: int | None = None
+    before: Number
+    after: Number
+    unit: str = ""
+    ci99: Interval | None = None
+    p_value: Number = None
+
+
+class RegimePart(Part):
+    """A range of a coordinate in which the excess error lives."""
+
+    coordinate: str
+    low: Number
+    high: Number
+    share_of_excess: Number = None
+
+
+class LocationPart(Part):
+    """Where the mismatch is."""
+
+    channel: str
+    joint: int | None = None
+    enters: str
+    times: tuple[Interval, ...] = ()
+    regimes: tuple[RegimePart, ...] = ()
+    statement: str
+
+
+class EvidencePart(Part):
+    """How strongly the data speak for a term."""
+
+    delta_bic: Number = None
+    p_value: Number = None
+    heldout_loglik_gain: Number = None
+
+
+class MissingPart(Part):
+    """A found effect."""
+
+    term: str
+    joint: int | None = None
+    statement: str
+    equation: str = ""
+    probability: Number = None
+    parameters: tuple[ParameterRow, ...] = ()
+    evidence: EvidencePart = EvidencePart()
+
+
+class RivalPart(Part):
+    """What might stand in the place of a found effect."""
+
+    term: str
+    instead_of: str
+    joint: int | None = None
+    probability: Number = None
+    delta_bic: Number = None
+    distinguishable: bool = False
+    experiment: str = ""
+
+
+class UndecidedPart(Part):
+    """A term of which the data cannot speak."""
+
+    term: str
+    joint: int | None = None
+    needs: tuple[str, ...] = ()
+    reason: str = ""
+
+
+class ExcludedPart(Part):
+    """A term that is not there, or smaller than this."""
+
+    term: str
+    joint: int | None = None
+    largest_hidden: Number
+    unit: str = ""
+    confidence: Number = None
+
+
+class ChannelImprovement(Part):
+    """One channel before and after."""
+
+    channel: str
+    joint: int | None = None
+    unit: str = ""
+    rmse_before: Number
+    rmse_after: Number
+    noise_floor: Number = None
+    r2_before: Number = None
+    r2_after: Number = None
+
+
+class ImprovementPart(Part):
+    """How much better the final model predicts data that the search never saw."""
+
+    data: str = "heldout"
+    metric: str = "windowed_simulation"
+    horizon: Number = None
+    rmse_before: Number
+    rmse_after: Number
+    noise_floor: Number = None
+    mse_before: Number = None
+    mse_after: Number = None
+    r2_before: Number = None
+    r2_after: Number = None
+    per_channel: tuple[ChannelImprovement, ...] = ()
+
+
+class CurvePart(Part):
+    """An estimated curve with its band, of a term that has no name."""
+
+    depends_on: tuple[str, ...]
+    x: tuple[tuple[Number, ...], ...]
+    value: tuple[Number, ...]
+    ci99: tuple[tuple[Number, ...], ...] = ()
+    unit: str = ""
+
+
+Verdict = Literal[
+    "no_mismatch",
+    "parameter_change",
+    "missing_physics",
+    "unexplained_mismatch",
+    "data_fault",
+    "not_decidable",
+]
+
+
+class DiagnosisPart(Part):
+    """`labhil.diagnosis/1`."""
+
+    recordings: tuple[Source, ...]
+    verdict: Verdict
+    p_value: Number
+    p_value_method: str = ""
+    p_value_floor: Number = None
+    baseline: BaselinePart
+    changed: tuple[ChangePart, ...] = ()
+    location: LocationPart | None = None
+    missing: tuple[MissingPart, ...] = ()
+    rivals: tuple[RivalPart, ...] = ()
+    undecided: tuple[UndecidedPart, ...] = ()
+    excluded: tuple[ExcludedPart, ...] = ()
+    improvement: ImprovementPart | None = None
+    final: BaselinePart
+    curve: CurvePart | None = None
+    seconds: Number = None
+
+
+Result = TypeVar("Result", bound=Part)
+
+FIT, DIAGNOSIS = "labhil.fit/1", "labhil.diagnosis/1"
+
+
+def result_of(data: Any, origin: str) -> FitPart | DiagnosisPart:
+    """A result of plain JSON data; ModelFileError names ``origin``, the field and what was expected."""
+    schema = data.get("schema") if isinstance(data, dict) else None
+    if schema == FIT:
+        return checked(FitPart, data, origin)
+    if schema == DIAGNOSIS:
+        return checked(DiagnosisPart, data, origin)
+    found = repr(schema) if schema else "no schema"
+    raise ModelFileError(f"{origin}: expected a result of schema {FIT} or {DIAGNOSIS}, found {found:.80}")
+
+
+def checked(kind: type[Result], data: Any, origin: str) -> Result:
+    """A result of this kind; ModelFileError names ``origin``, the field and what was expected."""
+    try:
+        return kind.model_validate(data)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        field = ".".join(str(place) for place in first["loc"])
+        raise ModelFileError(f"{origin}: {field}: {first['msg']}, found {first['input']!r:.80}") from error
+
+
+def json_of(text: bytes, origin: str) -> Any:
+    """Parsed JSON with None for NaN and infinities; ModelFileError when it is none."""
+    try:
+        return json.loads(text.decode("utf-8"), parse_constant=lambda name: None)
+    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        raise ModelFileError(
+            f"{origin}: expected a recording (MCAP) or the JSON of `labhil fit` or `labhil diagnose`: {error}"
+        ) from error

@@ -1,0 +1,53 @@
+"""Pages of fresh results, with the pictures that need the data and not only the JSON."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from labhil.physics.terms import keyed
+from labhil.report.fit_plot import fit_figure
+from labhil.report.html.diagnosis import diagnosis_page
+from labhil.report.html.element import Markup
+from labhil.report.html.fit import fit_page
+from labhil.report.html.page import write_page
+from labhil.report.html.picture import Album
+from labhil.report.html.schema import DiagnosisPart, FitPart, checked
+from labhil.report.plots import channel_figure, diagnosis_figure
+from labhil.report.study import DiagnosisResult, FitResult
+
+
+def write_fit_page(result: FitResult, path: Path) -> None:
+    """Write the page of a fit; UsageError when the file cannot be written."""
+    album = Album()
+    caption = (
+        "For each channel: simulated windows beside the measurement, their errors with the noise floor, how "
+        "the errors are distributed, and how the fitted residuals are correlated in time."
+    )
+    drawn = album.picture(caption, lambda: fit_figure(result.fit, result.material.judge, columns=2))
+    fit = checked(FitPart, result.json, "the fit")
+    write_page(fit_page(fit, _foot(fit), album, (drawn,)), path)
+
+
+def write_diagnosis_page(result: DiagnosisResult, path: Path) -> None:
+    """Write the page of a diagnosis; UsageError when the file cannot be written."""
+    album = Album()
+    caption = (
+        "Windows simulated before and after, their errors over time with the noise floor, what the baseline "
+        "leaves out over the coordinate where it lives, and how the errors are distributed."
+    )
+    found, judge = result.diagnosis, result.material.judge
+    drawn = [album.picture(caption, lambda: diagnosis_figure(found, judge))]
+    drawn += [_channel_picture(album, result, j) for j in range(1, len(found.after.channels))]
+    diagnosis = checked(DiagnosisPart, result.json, "the diagnosis")
+    write_page(diagnosis_page(diagnosis, _foot(diagnosis), album, drawn), path)
+
+
+def _channel_picture(album: Album, result: DiagnosisResult, j: int) -> Markup:
+    """Simulation and errors of one more channel."""
+    channel = result.diagnosis.after.channels[j]
+    caption = f"The same windows and their errors at {keyed(channel.channel, channel.joint)}."
+    return album.picture(caption, lambda: channel_figure(result.diagnosis, result.material.judge, j))
+
+
+def _foot(result: FitPart | DiagnosisPart) -> str:
+    return f"Made from {', '.join(source.path for source in result.recordings)}."

@@ -1,0 +1,74 @@
+"""Tables with captions and headers that a screen reader can follow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from labhil.report.html.element import Content, Markup, tag
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column: its heading, and whether numbers stand in it (they line up at the right)."""
+
+    title: Content
+    number: bool = False
+
+
+def text(*titles: str) -> tuple[Column, ...]:
+    """Columns of text."""
+    return tuple(Column(title) for title in titles)
+
+
+def numbers(*titles: str) -> tuple[Column, ...]:
+    """Columns of numbers."""
+    return tuple(Column(title, number=True) for title in titles)
+
+
+def table(caption: str, columns: Sequence[Column], rows: Iterable[Sequence[Content]]) -> Markup:
+    """A table; the first cell of a row is its header. On a narrow screen it scrolls by itself."""
+    heading = tag("tr", *(tag("th", c.title, scope="col", class_=_class(c)) for c in columns))
+    whole = tag(
+        "table",
+        tag("caption", caption),
+        tag("thead", heading),
+        tag("tbody", *(_row(columns, row) for row in rows)),
+    )
+    return tag("div", whole, class_="wide", role="region", aria_label=caption, tabindex=0)
+
+
+def _row(columns: Sequence[Column], cells: Sequence[Content]) -> Markup:
+    first, *others = zip(columns, cells, strict=True)
+    return tag(
+        "tr",
+        tag("th", first[1], scope="row", class_=_class(first[0])),
+        *(tag("td", cell, class_=_class(column)) for column, cell in others),
+    )
+
+
+def _class(column: Column) -> str | None:
+    return "number" if column.number else None
+
+
+def facts(pairs: Iterable[tuple[Content, Content]], class_: str | None = None) -> Markup:
+    """Names and values, one pair under another; in one row with the class "row"."""
+    told = (tag("div", tag("dt", name), tag("dd", value)) for name, value in pairs)
+    return tag("dl", *told, class_=class_)
+
+
+def tiles(entries: Iterable[tuple[str, Content, Content]]) -> Markup:
+    """The few figures that are read first: what it is, its value, a remark."""
+    return tag(
+        "dl",
+        *(
+            tag("div", tag("dt", name), tag("dd", value), tag("dd", remark, class_="remark"))
+            for name, value, remark in entries
+        ),
+        class_="tiles",
+    )
+
+
+def bullets(lines: Iterable[Content]) -> Markup:
+    """A list."""
+    return tag("ul", *(tag("li", line) for line in lines))
