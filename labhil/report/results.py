@@ -191,7 +191,7 @@ def accepted_of(path: Path) -> Accepted:
     covariance = _covariance(path, model.get("covariance"), len(keys))
     if covariance is None:
         covariance = _from_errors(model["parameters"])
-    train, residuals = model.get("train") or {}, model.get("residuals") or {}
+    train, residuals = (_object(path, name, model.get(name)) for name in ("train", "residuals"))
     return Accepted(
         name=str(path),
         rig=model.get("rig"),
@@ -233,15 +233,29 @@ def _from_errors(rows: Sequence[Mapping[str, Any]]) -> FloatArray | None:
     return np.diag(len(known) * np.square(known))
 
 
-def _ratios(path: Path, train: Any) -> dict[str, float]:
+def _object(path: Path, name: str, value: Any) -> Mapping[str, Any]:
+    if value is not None and not isinstance(value, dict):
+        raise ModelFileError(f"{path}: {name}: expected an object, found {value!r}")
+    return value or {}
+
+
+def _ratios(path: Path, train: Mapping[str, Any]) -> dict[str, float]:
     """RMSE over noise floor of each channel of a file's ``train``."""
     found = {}
-    for row in train.get("per_channel") or []:
+    for each in train.get("per_channel") or []:
+        row = _object(path, "train.per_channel", each)
         rmse = _number(path, "train.per_channel.rmse", row.get("rmse"))
         floor = _number(path, "train.per_channel.noise_floor", row.get("noise_floor"))
         if rmse is not None and floor:
             found[keyed(str(row.get("channel")), row.get("joint"))] = rmse / floor
     return found
+
+
+def _shortest(path: Path, rungs: Any) -> float | None:
+    """Residuals over noise on the shortest of a file's fitted windows."""
+    if not isinstance(rungs, list) or not rungs or not isinstance(rungs[0], dict):
+        return None
+    return _number(path, "by_window.residual", rungs[0].get("residual"))
 
 
 def _number(path: Path, name: str, value: Any) -> float | None:
