@@ -15,9 +15,6 @@ from labhil.signals import FloatArray, IntArray
 MOST_COLOURED = 3.0
 """Ratio of RMSE to floor beyond which no coloured noise is believed: neighbours correlated by 0.85."""
 
-WITHOUT_INPUT = 0.01
-"""p value above which residuals at acceptance count as uncorrelated with the input: noise, no misfit."""
-
 
 @dataclass(frozen=True, slots=True)
 class Accepted:
@@ -25,9 +22,8 @@ class Accepted:
 
     ``covariance`` (k, k) belongs to ``keys`` (SI units; infinite variances for what is not known);
     ``residual_ratio`` maps channels (with the joint, as ``keyed``) to RMSE over noise floor on the data
-    that the model was fitted to, and ``shortest`` is the same of its shortest fitted windows; ``input_p``
-    is the p value of its residuals' correlation with the input; ``window`` the length (s) of the windows
-    that it was fitted on.
+    that the model was fitted to, and ``shortest`` is the same of its shortest fitted windows; ``window`` is
+    the length (s) of the windows that it was fitted on.
     """
 
     name: str
@@ -38,7 +34,6 @@ class Accepted:
     covariance: FloatArray | None = None
     residual_ratio: Mapping[str, float] = field(default_factory=dict)
     shortest: float | None = None
-    input_p: float | None = None
     window: float | None = None
 
     def vector(self, model: Model) -> FloatArray:
@@ -77,13 +72,11 @@ class Accepted:
         """RMSE over noise floor that the accepted model reached and that noise alone explains, ≥ 1.
 
         Coloured noise is larger than the floor that is read from the quickest changes, in short windows as in
-        long ones; what grows with the window, goes with the input or is too much for noise was misfit, and
-        none of that is allowed. ``refitted`` is the ratio that a refit
-        reaches where no floor is known, as of inverse dynamics, whose filter takes the quickest changes out.
+        long ones; what grows with the window, or is too much for noise, was misfit, and none of that is
+        allowed. ``refitted`` is the ratio that a refit reaches where no floor is known, as of inverse
+        dynamics, whose filter takes the quickest changes out.
         """
         if refitted is not None:
             return max(1.0, self.residual_ratio.get(channel, refitted))
-        if self.input_p is None or self.input_p < WITHOUT_INPUT:
-            return 1.0
         reached = min(self.residual_ratio.get(channel, 1.0), self.shortest or MOST_COLOURED)
         return min(max(1.0, reached), MOST_COLOURED)

@@ -156,17 +156,21 @@ def _noise(x: FloatArray) -> float:
 def _of_channel(record: Record, channel: _Channel) -> list[Fault]:
     """Stuck, saturated, spikes and steps of one channel."""
     x, drive = channel.values, channel.drive
-    limits = clipped(x)
+    lone = spikes(x, channel.sigma, drive)
+    calm = x.copy()
+    calm[lone] = x[lone - 1]
+    limits = clipped(calm)
     found = [_saturated(record, channel, limit) for limit in limits]
-    runs = stuck(x, drive)
-    runs = runs.chosen(~np.isin(x[runs.first], limits))
+    runs = stuck(calm, drive)
+    runs = runs.chosen(~np.isin(calm[runs.first], limits))
     if len(runs.first):
         found.append(_stuck(record, channel, list(zip(runs.first, runs.last - 1, strict=True))))
-    lone = spikes(x, channel.sigma, drive)
     if len(lone):
         found.append(_outliers(record, channel, lone))
     if channel.position:
-        found += [_zero_step(record, channel, int(i)) for i in zero_steps(x, channel.sigma, drive)]
+        # what was stuck jumps when it comes loose
+        steps = np.setdiff1d(zero_steps(calm, channel.sigma, drive), runs.last)
+        found += [_zero_step(record, channel, int(i)) for i in steps]
     return found
 
 

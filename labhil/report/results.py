@@ -191,7 +191,6 @@ def accepted_of(path: Path) -> Accepted:
     covariance = _covariance(path, model.get("covariance"), len(keys))
     if covariance is None:
         covariance = _from_errors(model["parameters"])
-    train, residuals = (_object(path, name, model.get(name)) for name in ("train", "residuals"))
     return Accepted(
         name=str(path),
         rig=model.get("rig"),
@@ -199,10 +198,7 @@ def accepted_of(path: Path) -> Accepted:
         values=values,
         keys=keys,
         covariance=covariance,
-        residual_ratio=_ratios(path, train),
-        input_p=_number(
-            path, "residuals.input_crosscorrelation_p", residuals.get("input_crosscorrelation_p")
-        ),
+        residual_ratio=_ratios(path, _object(path, "train", model.get("train"))),
         window=_number(path, "window", model.get("window")),
     )
 
