@@ -136,7 +136,7 @@ def covariances(fitted: Fitted) -> tuple[FloatArray, FloatArray, FloatArray]:
     unit = np.linalg.norm(jacobian, axis=0)
     unit[unit == 0.0] = 1.0
     scaled = jacobian / unit
-    robust = statistics.robust_covariance(scaled, solution.residuals, fitted.dof)
+    robust = statistics.robust_covariance(scaled, solution.residuals, fitted.dof, len(problem.sigma))
     inverse = statistics.inverse_information(scaled)
     lost = np.linalg.norm(jacobian, axis=0) == 0.0
     for matrix in (robust, inverse):

@@ -47,15 +47,16 @@ class Estimate:
     at_bound: bool
 
 
-def robust_covariance(jacobian: FloatArray, residuals: FloatArray, dof: int) -> FloatArray:
+def robust_covariance(jacobian: FloatArray, residuals: FloatArray, dof: int, channels: int = 1) -> FloatArray:
     """Covariance (P, P) of least-squares estimates whose residuals (N,) may be correlated in time.
 
-    ``jacobian`` (N, P) is the projected one; ``dof`` the residual degrees of freedom.
+    ``jacobian`` (N, P) is the projected one; ``dof`` the residual degrees of freedom. The rows are samples,
+    and within each sample so many ``channels``: what is summed over lags are whole samples.
     """
     n = len(residuals)
     inverse = inverse_information(jacobian)
     classical = inverse * float(residuals @ residuals) / dof
-    scores = jacobian * residuals[:, None]
+    scores = (jacobian * residuals[:, None]).reshape(-1, channels, jacobian.shape[1]).sum(axis=1)
     robust = inverse @ long_run_variance(scores) @ inverse * (n / dof)
     least, found = np.diag(classical), np.diag(robust)
     lost = ~(found > 1e-12 * least)
