@@ -145,8 +145,10 @@ def _noise_at_rest(x: FloatArray, step: float, without: Runs) -> float:
     # white noise gives third differences a correlation of −0.75 between neighbours, smooth motion +1
     if np.sum(calm[:, 1:] * calm[:, :-1]) > -0.3 * np.sum(calm**2):
         return 0.0
-    variance = float(np.quantile(power, CALM)) / 20.0 - STAIRS * step**2
-    return float(np.sqrt(max(variance, 0.0)))
+    variance = float(np.quantile(power, CALM)) / 20.0
+    # rounding adds step²/12; what could be all stairs is no noise, and what is little more not much
+    certain = min(variance - step**2 / 12.0, 4.0 * (variance - STAIRS * step**2))
+    return float(np.sqrt(max(certain, 0.0)))
 
 
 def _ends_in_a_leap(x: FloatArray, inputs: FloatArray, runs: Runs) -> np.ndarray:

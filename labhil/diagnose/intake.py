@@ -26,7 +26,7 @@ LONG_STEP = 1.5
 UNEVEN = 8.0
 """… and beyond them by this many robust standard deviations of uneven stamps."""
 
-MOVES = 5.0
+MOVES = 2.0
 """A channel moves when its standard deviation is this many times its noise."""
 
 
