@@ -12,7 +12,6 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import stats
 
-from labhil.identify.windows import smallest_step
 from labhil.signals import FloatArray, IntArray
 
 CHANCE = 1e-5
@@ -33,6 +32,14 @@ STAIRS = 0.25
 CALM = 0.1
 """Quantile of the blocks' variances that stands for the noise at rest."""
 
+FAINTEST = 1e-9
+"""Share of a channel's range under which its noise is a computer's rounding."""
+
+STRAY = 0.02
+"""Share of a converter's step by which what is rounded to it may stray: files round again."""
+
+TREMBLING = 4
+FEWEST_TREMBLINGS = 10
 BLOCK = 32
 LEAP = 2.0
 """The jump that ends a stuck run, in largest changes from sample to sample elsewhere."""
@@ -83,7 +90,7 @@ def stuck(x: FloatArray, inputs: FloatArray) -> Runs:
 
 def clipped(x: FloatArray) -> tuple[float, ...]:
     """Extreme values at which a noisy channel (n,) piles up although its noise should scatter it beyond."""
-    step = smallest_step(x)
+    step = converter_step(x)
     found = []
     for side in (-1.0, 1.0):
         y = side * x
@@ -111,7 +118,7 @@ def _usual_length(runs: Runs) -> float:
 
 def _longest_by_chance(x: FloatArray, runs: Runs, usual: float) -> float:
     """Samples from which a run is no chance: noise leaves the step of the converter too easily."""
-    step = smallest_step(x)
+    step = converter_step(x)
     noise = CAUTION * _noise_at_rest(x, step, runs)
     if noise <= 0.0:
         return float("inf")
@@ -134,6 +141,8 @@ def _noise_at_rest(x: FloatArray, step: float, without: Runs) -> float:
     doubtful = np.zeros(len(x), dtype=bool)
     for first, last in zip(without.first, without.last, strict=True):
         doubtful[max(first - 1, 0) : last + 1] = True
+    if step and _tremblings(x[~doubtful]) < FEWEST_TREMBLINGS:
+        return 0.0
     doubtful = doubtful[3:] | doubtful[:-3]
     count = len(third) // BLOCK
     blocks = third[: count * BLOCK].reshape(count, BLOCK)
@@ -148,7 +157,20 @@ def _noise_at_rest(x: FloatArray, step: float, without: Runs) -> float:
     variance = float(np.quantile(power, CALM)) / 20.0
     # rounding adds step²/12; what could be all stairs is no noise, and what is little more not much
     certain = min(variance - step**2 / 12.0, 4.0 * (variance - STAIRS * step**2))
-    return float(np.sqrt(max(certain, 0.0)))
+    noise = float(np.sqrt(max(certain, 0.0)))
+    return noise if noise > FAINTEST * float(np.ptp(x)) else 0.0
+
+
+def _tremblings(x: FloatArray) -> int:
+    """How often a reading (n,) turns back twice within ``TREMBLING`` samples.
+
+    Noise makes it do so wherever it is slow; a smooth motion's stairs never do, however large the third
+    differences they leave at a steady speed.
+    """
+    change = np.diff(x)
+    moved = np.flatnonzero(change)
+    turns = moved[1:][np.diff(np.sign(change[moved])) != 0.0]
+    return int(np.sum(np.diff(turns) <= TREMBLING))
 
 
 def _ends_in_a_leap(x: FloatArray, inputs: FloatArray, runs: Runs) -> np.ndarray:
@@ -172,6 +194,25 @@ def _driven_before(inputs: FloatArray, first: int, last: int) -> bool:
     return bool(np.any((during > 0.0) & (during >= around)) and np.all((around <= during) | (around == 0.0)))
 
 
+def converter_step(x: FloatArray) -> float:
+    """The step whose multiples all readings (n,) are, or 0 when there is none.
+
+    Readings of a fast motion may all differ although they are rounded, so it is not their number that counts.
+    """
+    gaps = np.diff(np.unique(x))
+    rounding = 64.0 * np.finfo(np.float64).eps * float(np.abs(x).max(initial=0.0))
+    gaps = gaps[gaps > rounding]
+    if not len(gaps):
+        return 0.0
+    for parts in (1, 2, 3, 4):
+        step = float(gaps.min()) / parts
+        counts = np.rint(gaps / step)
+        step = float(gaps.sum() / counts.sum())
+        if np.all(np.abs(gaps - counts * step) < np.maximum(STRAY * step, rounding)):
+            return step
+    return 0.0
+
+
 def local_scale(x: FloatArray, reach: int, quantile: float) -> FloatArray:
     """Quantile of the changes from sample to sample within ``reach`` samples of each change, (n − 1,)."""
     change = np.abs(np.diff(x))
@@ -179,4 +220,4 @@ def local_scale(x: FloatArray, reach: int, quantile: float) -> FloatArray:
     return np.asarray(np.quantile(sliding_window_view(padded, 2 * reach + 1), quantile, axis=1))
 
 
-__all__ = ["Runs", "clipped", "local_scale", "runs_of", "stuck"]
+__all__ = ["Runs", "clipped", "converter_step", "local_scale", "runs_of", "stuck"]

@@ -13,7 +13,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from labhil.diagnose.frozen import clipped, stuck
+from labhil.diagnose.frozen import clipped, converter_step, stuck
 from labhil.diagnose.jumps import spikes, zero_steps
 from labhil.diagnose.lag import partings
 from labhil.identify.windows import noise_of
@@ -156,7 +156,8 @@ def _noise(x: FloatArray) -> float:
 def _of_channel(record: Record, channel: _Channel) -> list[Fault]:
     """Stuck, saturated, spikes and steps of one channel."""
     x, drive = channel.values, channel.drive
-    lone = spikes(x, channel.sigma, drive)
+    sigma = max(channel.sigma, converter_step(x) / np.sqrt(12.0))
+    lone = spikes(x, sigma, drive)
     calm = x.copy()
     calm[lone] = x[lone - 1]
     limits = clipped(calm)
@@ -169,7 +170,7 @@ def _of_channel(record: Record, channel: _Channel) -> list[Fault]:
         found.append(_outliers(record, channel, lone))
     if channel.position:
         # what was stuck jumps when it comes loose
-        steps = np.setdiff1d(zero_steps(calm, channel.sigma, drive), runs.last)
+        steps = np.setdiff1d(zero_steps(calm, sigma, drive), runs.last)
         found += [_zero_step(record, channel, int(i)) for i in steps]
     return found
 

@@ -199,6 +199,7 @@ def accepted_of(path: Path) -> Accepted:
         keys=keys,
         covariance=covariance,
         residual_ratio=_ratios(path, _object(path, "train", model.get("train"))),
+        shortest=_shortest(path, model.get("by_window")),
         window=_number(path, "window", model.get("window")),
     )
 
