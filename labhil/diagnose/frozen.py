@@ -38,6 +38,12 @@ FAINTEST = 1e-9
 STRAY = 0.02
 """Share of a converter's step by which what is rounded to it may stray: files round again."""
 
+ABRUPT = 6.0
+"""Steps that a channel moves within two samples of a run that begins or ends at speed."""
+
+SUDDEN_END = 0.7
+"""Share of the motion in the next two samples; a constant acceleration from rest makes it a third."""
+
 TREMBLING = 4
 FEWEST_TREMBLINGS = 10
 BLOCK = 32
@@ -85,6 +91,11 @@ def stuck(x: FloatArray, inputs: FloatArray) -> Runs:
     if not len(long.first):
         return long
     silent = long.length >= _longest_by_chance(x, long, usual)
+    # an encoder at rest is silent too, and so is what is derived from it: at zero, or between gentle ends
+    step = converter_step(x)
+    silent &= np.abs(x[long.first]) > 3.0 * step
+    if step:
+        silent &= _abrupt(x, long, step)
     return long.chosen(silent | _ends_in_a_leap(x, inputs, long))
 
 
@@ -171,6 +182,17 @@ def _tremblings(x: FloatArray) -> int:
     moved = np.flatnonzero(change)
     turns = moved[1:][np.diff(np.sign(change[moved])) != 0.0]
     return int(np.sum(np.diff(turns) <= TREMBLING))
+
+
+def _abrupt(x: FloatArray, runs: Runs, step: float) -> np.ndarray:
+    """Which runs (r,) begin or end at speed: a body that stops or starts takes its time."""
+    found = np.zeros(len(runs.first), dtype=bool)
+    for r, (first, last) in enumerate(zip(runs.first, runs.last, strict=True)):
+        for path in (x[max(first - 4, 0) : first + 1][::-1], x[last - 1 : last + 4]):
+            if len(path) == 5:
+                near, far = abs(path[2] - path[0]), abs(path[4] - path[2])
+                found[r] |= near > ABRUPT * step and near > SUDDEN_END * far
+    return found
 
 
 def _ends_in_a_leap(x: FloatArray, inputs: FloatArray, runs: Runs) -> np.ndarray:

@@ -139,13 +139,19 @@ def _measured(record: Record, sigma: FloatArray) -> list[_Channel]:
         )
         for j, x in enumerate(record.outputs.T)
     ]
-    channels += [_Channel(name, None, x, _noise(x), record.inputs) for name, x in record.auxiliary.items()]
+    others = {name: x for name, x in record.auxiliary.items() if not _planned(name)}
+    channels += [_Channel(name, None, x, _noise(x), record.inputs) for name, x in others.items()]
     if record.output_joints and record.output_joints[0] is not None:
         channels += [
             _Channel(name, None, x, _noise(x), np.delete(record.inputs, j, axis=1))
             for j, (name, x) in enumerate(zip(record.input_names, record.inputs.T, strict=True))
         ]
     return channels
+
+
+def _planned(name: str) -> bool:
+    """Whether a channel tells what a controller plans: that may stand still and jump as it likes."""
+    return name.startswith("target_") or name.endswith("_command")
 
 
 def _noise(x: FloatArray) -> float:
