@@ -1,4 +1,4 @@
-"""Commands that are studies of their own: pages, baselines, benchmarks, designs, the reference text."""
+"""Commands that are studies of their own: pages, a gate, baselines, benchmarks, designs, the text."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from labhil.console import refuse_unwritable, results_console, split_names, stat
 def add_studies(app: typer.Typer) -> None:
     """Register these commands."""
     app.command(epilog="Example: labhil report diagnosis.json -o diagnosis.html")(report)
+    app.command(epilog="Example: labhil verify run.mcap --model fit.json --json verified.json")(verify)
     app.command(epilog="Example: labhil linear run.mcap --test test.mcap --models arx,oe")(linear)
     app.command(epilog="Example: labhil optimise solenoid --plot design.png")(optimise)
     app.command(epilog="Example: labhil reference 5.3 5.5 --quick")(reference)
@@ -33,6 +34,34 @@ def report(
     refuse_unwritable(out)
     write_page(report_page(result), out)
     print(out)
+
+
+def verify(
+    recording: Annotated[Path, typer.Argument(help="A recording (.mcap).")],
+    *,
+    model: Annotated[Path, typer.Option(help="The accepted model: a fit or a diagnosis (JSON).")],
+    rig: Annotated[Path | None, typer.Option(help="Rig file; default: the recording's own.")] = None,
+    alpha: Annotated[
+        float, typer.Option(help="Probability that a recording of the model itself is refused.")
+    ] = 1e-3,
+    json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
+) -> None:
+    """Hold a recording against an accepted model: ends with 1 when it contradicts the model, else with 0.
+
+    Tests the windowed simulation with the values as they are, whether the refitted model leaves residuals
+    that go with the input, and whether refitted values differ from the accepted ones.
+    """
+    from labhil.report.verification import show_verification, verify_study
+
+    refuse_unwritable(json_path)
+    with status() as say:
+        result = verify_study(recording, model, rig, alpha=alpha, progress=say)
+    tell(result.losses)
+    show_verification(result.verification, results_console())
+    if json_path is not None:
+        write_json(result.json, json_path)
+    if not result.verification.consistent:
+        raise typer.Exit(1)
 
 
 def linear(

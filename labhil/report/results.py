@@ -11,12 +11,14 @@ from typing import Any
 
 import numpy as np
 
+from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.diagnosis import Diagnosis
 from labhil.errors import ModelFileError
 from labhil.identify.fit import Fit
 from labhil.identify.score import Score
 from labhil.identify.statistics import Estimate
 from labhil.physics.terms import keyed
+from labhil.signals import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,6 +178,89 @@ def terms_of(path: Path) -> tuple[str, ...]:
     if not all(isinstance(name, str) for name in terms):
         raise ModelFileError(f"{path}: terms: expected a list of names, found {terms!r}")
     return tuple(terms)
+
+
+def accepted_of(path: Path) -> Accepted:
+    """A fit or diagnosis file as an accepted model, with the covariance of its values where it has one.
+
+    Where a file has standard errors only, nothing is known of their correlations: k times their squares
+    are an upper bound of any covariance of k values. Raises ModelFileError with the field that is wrong.
+    """
+    values, terms, model = values_of(path), terms_of(path), _model_in(path)
+    keys = tuple(keyed(row["name"], row.get("joint")) for row in model["parameters"])
+    covariance = _covariance(path, model.get("covariance"), len(keys))
+    if covariance is None:
+        covariance = _from_errors(model["parameters"])
+    return Accepted(
+        name=str(path),
+        rig=model.get("rig"),
+        terms=terms,
+        values=values,
+        keys=keys,
+        covariance=covariance,
+        residual_ratio=_ratios(path, _object(path, "train", model.get("train"))),
+        shortest=_shortest(path, model.get("by_window")),
+        window=_number(path, "window", model.get("window")),
+    )
+
+
+def _covariance(path: Path, rows: Any, k: int) -> FloatArray | None:
+    """The matrix (k, k), null as an unknown (infinite) variance; None where there is none."""
+    if rows is None:
+        return None
+    try:
+        matrix = np.array(rows, dtype=np.float64).reshape(k, k)
+    except (TypeError, ValueError) as error:
+        raise ModelFileError(
+            f"{path}: covariance: expected {k} rows of {k} numbers, one for each of `parameters`"
+        ) from error
+    unknown = ~np.isfinite(np.diag(matrix))
+    matrix[unknown, :] = matrix[:, unknown] = 0.0
+    if not np.all(np.isfinite(matrix)) or np.any(np.diag(matrix) < 0.0):
+        raise ModelFileError(f"{path}: covariance: expected finite numbers and no negative variance")
+    matrix[unknown, unknown] = np.inf
+    return matrix
+
+
+def _from_errors(rows: Sequence[Mapping[str, Any]]) -> FloatArray | None:
+    errors = [row.get("std_error") for row in rows]
+    if not errors or not any(isinstance(error, (int, float)) for error in errors):
+        return None
+    known = [float(e) if isinstance(e, (int, float)) else np.inf for e in errors]
+    return np.diag(len(known) * np.square(known))
+
+
+def _object(path: Path, name: str, value: Any) -> Mapping[str, Any]:
+    if value is not None and not isinstance(value, dict):
+        raise ModelFileError(f"{path}: {name}: expected an object, found {value!r}")
+    return value or {}
+
+
+def _ratios(path: Path, train: Mapping[str, Any]) -> dict[str, float]:
+    """RMSE over noise floor of each channel of a file's ``train``."""
+    found = {}
+    for each in train.get("per_channel") or []:
+        row = _object(path, "train.per_channel", each)
+        rmse = _number(path, "train.per_channel.rmse", row.get("rmse"))
+        floor = _number(path, "train.per_channel.noise_floor", row.get("noise_floor"))
+        if rmse is not None and floor:
+            found[keyed(str(row.get("channel")), row.get("joint"))] = rmse / floor
+    return found
+
+
+def _shortest(path: Path, rungs: Any) -> float | None:
+    """Residuals over noise on the shortest of a file's fitted windows."""
+    if not isinstance(rungs, list) or not rungs or not isinstance(rungs[0], dict):
+        return None
+    return _number(path, "by_window.residual", rungs[0].get("residual"))
+
+
+def _number(path: Path, name: str, value: Any) -> float | None:
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise ModelFileError(f"{path}: {name}: expected a finite number, found {value!r}")
+    return float(value)
 
 
 def _model_in(path: Path) -> Mapping[str, Any]:

@@ -66,7 +66,7 @@ def load_material(
     if not 0.05 <= holdout <= 0.9:
         raise UsageError(f"--holdout: expected a share from 0.05 to 0.9, found {holdout:g}")
     recording = read_recording(path)
-    rig = _rig_of(recording, rig_path)
+    rig = rig_of(recording, rig_path)
     record = record_of(recording, rig.kind)
     model = model_for(rig, record)
     if test_path is None:
@@ -84,7 +84,8 @@ def load_material(
     return Material(rig, model, learn, judge, True, ((recording, record, ""), (test_recording, test, "test")))
 
 
-def _rig_of(recording: Recording, rig_path: Path | None) -> RigFile:
+def rig_of(recording: Recording, rig_path: Path | None) -> RigFile:
+    """The rig file at a path, or the one that the recording carries; RecordingError when it carries none."""
     if rig_path is not None:
         return load_rig(rig_path)
     if recording.rig is None:
