@@ -79,18 +79,19 @@ def runs_of(x: FloatArray) -> Runs:
     return Runs(np.r_[0, edges].astype(np.int64), np.r_[edges, len(x)].astype(np.int64))
 
 
-def stuck(x: FloatArray, inputs: FloatArray) -> Runs:
+def stuck(x: FloatArray, inputs: FloatArray, *, rests: bool = False) -> Runs:
     """Runs in which a measured channel (n,) is frozen, while ``inputs`` (n, k) tell what drives the rig.
 
     Either its noise vanishes for longer than chance, or it ends in a jump that nothing else in the channel
-    comes near and the inputs do not explain.
+    comes near and the inputs do not explain. A channel that ``rests`` may be silent at any value, as an
+    encoder of a joint that is held.
     """
     runs = runs_of(x)
     usual = _usual_length(runs)
     long = runs.chosen(runs.length >= max(SHORTEST, UNUSUAL * usual))
     if not len(long.first):
         return long
-    silent = long.length >= _longest_by_chance(x, long, usual)
+    silent = (long.length >= _longest_by_chance(x, long, usual)) & (not rests)
     # an encoder at rest is silent too, and so is what is derived from it: at zero, or between gentle ends
     step = converter_step(x)
     silent &= np.abs(x[long.first]) > 3.0 * step

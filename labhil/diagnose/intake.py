@@ -86,7 +86,8 @@ class Usable:
 class _Channel:
     """One column with what is known of it.
 
-    ``drive`` (n, m) are the inputs that may move it at once; ``position`` says that it cannot jump.
+    ``drive`` (n, m) are the inputs that may move it at once; ``position`` says that it cannot jump,
+    ``rests`` that it may be silent at any value.
     """
 
     name: str
@@ -95,6 +96,7 @@ class _Channel:
     sigma: float
     drive: FloatArray
     position: bool = False
+    rests: bool = False
 
     @property
     def called(self) -> str:
@@ -140,10 +142,10 @@ def _measured(record: Record, sigma: FloatArray) -> list[_Channel]:
         for j, x in enumerate(record.outputs.T)
     ]
     others = {name: x for name, x in record.auxiliary.items() if not _planned(name)}
-    channels += [_Channel(name, None, x, _noise(x), record.inputs) for name, x in others.items()]
+    channels += [_Channel(name, None, x, _noise(x), record.inputs, rests=True) for name, x in others.items()]
     if record.output_joints and record.output_joints[0] is not None:
         channels += [
-            _Channel(name, None, x, _noise(x), np.delete(record.inputs, j, axis=1))
+            _Channel(name, None, x, _noise(x), np.delete(record.inputs, j, axis=1), rests=True)
             for j, (name, x) in enumerate(zip(record.input_names, record.inputs.T, strict=True))
         ]
     return channels
@@ -168,7 +170,7 @@ def _of_channel(record: Record, channel: _Channel) -> list[Fault]:
     calm[lone] = x[lone - 1]
     limits = clipped(calm)
     found = [_saturated(record, channel, limit) for limit in limits]
-    runs = stuck(calm, drive)
+    runs = stuck(calm, drive, rests=channel.rests)
     runs = runs.chosen(~np.isin(calm[runs.first], limits))
     if len(runs.first):
         found.append(_stuck(record, channel, list(zip(runs.first, runs.last - 1, strict=True))))
