@@ -20,7 +20,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from labhil.diagnose.diagnosis import Diagnosis
+from labhil.diagnose.answer import Diagnosis
 from labhil.errors import LimitTrippedError, RunError
 from labhil.experiment.experiment import Experiment, load_experiment
 from labhil.experiment.run import Progress, RunResult, answer_path, run_experiment

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy import stats
 
 from labhil.diagnose import locate
-from labhil.diagnose.evidence import Evidence, bic, effective_samples
+from labhil.diagnose.answer import Change, Diagnosis, Excluded, Missing, RivalTerm, Undecided
+from labhil.diagnose.evidence import bic, effective_samples
+from labhil.diagnose.intake import Fault, usable
+from labhil.diagnose.intake import faults as faults_of
 from labhil.diagnose.search import Data, Found, Rival, Step, search
 from labhil.identify.fitted import Fitted, climb, start_theta
 from labhil.identify.score import Score, score
@@ -26,92 +29,6 @@ FALSE_ALARM = 5e-4
 UNEXPLAINED = 1.5
 
 
-@dataclass(frozen=True, slots=True)
-class Missing:
-    """One effect that the baseline lacks; ``probability`` is its share among itself and its rivals."""
-
-    term: str
-    joint: int | None
-    statement: str
-    equation: str
-    probability: float
-    parameters: list[Estimate]
-    evidence: Evidence
-
-
-@dataclass(frozen=True, slots=True)
-class RivalTerm:
-    """What would explain the data about as well in the place of a found term."""
-
-    term: str
-    instead_of: str
-    joint: int | None
-    probability: float
-    delta_bic: float
-    distinguishable: bool
-    experiment: str
-
-
-@dataclass(frozen=True, slots=True)
-class Undecided:
-    """A term of which these data cannot speak."""
-
-    term: str
-    joint: int | None
-    needs: tuple[str, ...]
-    reason: str
-
-
-@dataclass(frozen=True, slots=True)
-class Excluded:
-    """A term that is not there: the largest size of its main parameter that could hide in the data."""
-
-    term: str
-    joint: int | None
-    largest_hidden: float
-    unit: str
-    confidence: float
-
-
-@dataclass(frozen=True, slots=True)
-class Change:
-    """A parameter whose value differs from that of the user's own model."""
-
-    name: str
-    joint: int | None
-    before: float
-    after: float
-    unit: str
-    ci99: tuple[float, float]
-    p_value: float
-
-
-@dataclass(frozen=True, slots=True)
-class Diagnosis:
-    """The answer. ``data`` is "test" or "heldout"; scores are on data that the search never saw."""
-
-    verdict: str
-    p_value: float
-    p_value_method: str
-    p_value_floor: float
-    baseline_terms: tuple[str, ...]
-    baseline: list[Estimate]
-    changed: tuple[Change, ...]
-    location: locate.Location | None
-    missing: tuple[Missing, ...]
-    rivals: tuple[RivalTerm, ...]
-    undecided: tuple[Undecided, ...]
-    excluded: tuple[Excluded, ...]
-    data: str
-    before: Score
-    after: Score
-    final_terms: tuple[str, ...]
-    final: list[Estimate]
-    baseline_fit: Fitted
-    final_fit: Fitted
-    seconds: float
-
-
 def diagnose(
     model: Model,
     searched: Record,
@@ -120,12 +37,14 @@ def diagnose(
     heldout_is_test: bool,
     baseline: Sequence[str],
     reference: Mapping[str, float] | None = None,
+    measured: Record | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Diagnosis:
     """Find what ``baseline`` lacks on ``searched``, judged on ``held_out``.
 
     ``reference`` are values of the user's own simulation by parameter name; with them a changed
-    value can be told from missing physics.
+    value can be told from missing physics. ``measured`` is what was searched before the model prepared it:
+    there faults of the data are looked for.
     """
     began = time.perf_counter()
     sigma = noise_of(searched)
@@ -135,8 +54,14 @@ def diagnose(
     progress(f"fitting the baseline: {', '.join(baseline)}")
     terms = [term.key for term in terms_named(model, baseline)]
     base = _fit_baseline(data, terms)
+    whole = searched if measured is None else measured
+    faults = faults_of(whole, noise_of(whole))
+    if not usable(whole, faults).fit:
+        reason = "the data are at fault"
+        return _unsearched(data, base, "data_fault", reason, faults, heldout_is_test, began)
     if not _excited(searched, sigma):
-        return _nothing_moves(data, base, heldout_is_test, began)
+        reason = "neither input nor output moves beyond the noise"
+        return _unsearched(data, base, "not_decidable", reason, faults, heldout_is_test, began)
     found = search(data, base, progress)
     if reference is not None and (sizes := _sizes(model, reference)):
         progress("the same with the sizes of the given model held")
@@ -152,6 +77,7 @@ def diagnose(
     changed = _changes(model, base, found, reference)
     return Diagnosis(
         verdict=_verdict(found, changed, after),
+        faults=faults,
         p_value=found.p_value,
         p_value_method="tail_extrapolated",
         p_value_floor=0.0,
@@ -332,34 +258,38 @@ def _slope(final: Fitted, key: str) -> np.ndarray:
     return np.asarray((residuals - final.solution.residuals) / step)
 
 
-def _nothing_moves(data: Data, base: Fitted, heldout_is_test: bool, began: float) -> Diagnosis:
-    """Neither input nor output moves beyond noise: nothing can be said."""
+def _unsearched(
+    data: Data,
+    base: Fitted,
+    verdict: str,
+    reason: str,
+    faults: tuple[Fault, ...],
+    heldout_is_test: bool,
+    began: float,
+) -> Diagnosis:
+    """An answer without a search, and why there was none."""
     marks = score(data.model, base.theta, data.test, data.test_sigma)
     rows = table_of(base).rows
-    reason = "neither input nor output moves beyond the noise"
-    undecided = tuple(Undecided(*unkeyed(key), (), reason) for key in data.model.terms)
     return Diagnosis(
-        "not_decidable",
-        1.0,
-        "tail_extrapolated",
-        0.0,
-        base.terms,
-        rows,
-        (),
-        None,
-        (),
-        (),
-        undecided,
-        (),
-        "test" if heldout_is_test else "heldout",
-        marks,
-        marks,
-        base.terms,
-        rows,
-        base,
-        base,
-        time.perf_counter() - began,
+        verdict=verdict,
+        faults=faults,
+        p_value=1.0,
+        p_value_method="tail_extrapolated",
+        p_value_floor=0.0,
+        baseline_terms=base.terms,
+        baseline=rows,
+        changed=(),
+        location=None,
+        missing=(),
+        rivals=(),
+        undecided=tuple(Undecided(*unkeyed(key), (), reason) for key in data.model.terms),
+        excluded=(),
+        data="test" if heldout_is_test else "heldout",
+        before=marks,
+        after=marks,
+        final_terms=base.terms,
+        final=rows,
+        baseline_fit=base,
+        final_fit=base,
+        seconds=time.perf_counter() - began,
     )
-
-
-__all__ = ["Change", "Diagnosis", "Excluded", "Missing", "RivalTerm", "Undecided", "diagnose"]

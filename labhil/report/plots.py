@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from labhil.diagnose import locate
-from labhil.diagnose.diagnosis import Diagnosis
+from labhil.diagnose.answer import Diagnosis
 from labhil.identify.score import Score
 from labhil.physics.model import Record
 from labhil.physics.terms import keyed

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from labhil.diagnose.accepted import Accepted
-from labhil.diagnose.diagnosis import Diagnosis
+from labhil.diagnose.answer import Diagnosis
 from labhil.errors import ModelFileError
 from labhil.identify.fit import Fit
 from labhil.identify.score import Score
@@ -83,6 +83,7 @@ def diagnosis_json(diagnosis: Diagnosis, sources: Sequence[Source]) -> Any:
             "schema": "labhil.diagnosis/1",
             "recordings": [asdict(source) for source in sources],
             "verdict": diagnosis.verdict,
+            "faults": [asdict(fault) for fault in diagnosis.faults],
             "p_value": diagnosis.p_value,
             "p_value_method": diagnosis.p_value_method,
             "p_value_floor": diagnosis.p_value_floor,

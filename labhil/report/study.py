@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from labhil.diagnose.diagnosis import Diagnosis, diagnose
+from labhil.diagnose.answer import Diagnosis
+from labhil.diagnose.diagnosis import diagnose
 from labhil.errors import RecordingError, UnknownNameError, UsageError
 from labhil.identify.fit import Fit, Options, fit
 from labhil.identify.further_channels import with_help
@@ -172,6 +173,7 @@ def diagnose_study(
         heldout_is_test=material.judge_is_test,
         baseline=chosen,
         reference=values,
+        measured=material.recordings[0][1],
         progress=progress,
     )
     return DiagnosisResult(diagnosis, material, diagnosis_json(diagnosis, material.sources("search")))

@@ -8,7 +8,7 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from labhil.diagnose.diagnosis import Diagnosis
+from labhil.diagnose.answer import Diagnosis
 from labhil.identify.fit import Fit
 from labhil.identify.score import Score
 from labhil.identify.statistics import Estimate
@@ -152,6 +152,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> RenderableType:
             f"Baseline: {', '.join(diagnosis.baseline_terms)}; p {small(diagnosis.p_value)} that it suffices."
         ),
     ]
+    parts += [Text(f"! {fault.statement}", style="yellow") for fault in diagnosis.faults]
     if diagnosis.location is not None:
         parts.append(Text(diagnosis.location.statement))
     for item in diagnosis.missing:

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from labhil.diagnose import locate
-from labhil.diagnose.diagnosis import Diagnosis, diagnose
+from labhil.diagnose.answer import Diagnosis
+from labhil.diagnose.diagnosis import diagnose
 from labhil.diagnose.evidence import independent
 from labhil.identify.statistics import Estimate
 from labhil.report.results import Source, diagnosis_json

@@ -51,6 +51,7 @@ def diagnosis_page(
         tone=diagnosis.verdict,
         lead=_lead(diagnosis),
         sections=present(
+            section("Faults of the data", *(tag("p", fault.statement) for fault in diagnosis.faults)),
             section("What is missing", *(_missing(item, diagnosis.rivals) for item in diagnosis.missing)),
             _changed(diagnosis),
             _location(diagnosis.location),

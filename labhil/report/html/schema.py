@@ -156,6 +156,7 @@ class RegimePart(Part):
     low: Number
     high: Number
     share_of_excess: Number = None
+    unit: str = ""
 
 
 class LocationPart(Part):
@@ -269,11 +270,19 @@ Verdict = Literal[
 ]
 
 
+class FaultPart(Part):
+    """A fault of the data."""
+
+    kind: str
+    statement: str
+
+
 class DiagnosisPart(Part):
     """`labhil.diagnosis/1`."""
 
     recordings: tuple[Source, ...]
     verdict: Verdict
+    faults: tuple[FaultPart, ...] = ()
     p_value: Number
     p_value_method: str = ""
     p_value_floor: Number = None

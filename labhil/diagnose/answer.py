@@ -1,0 +1,102 @@
+"""What a diagnosis says: found terms, rivals, limits, changes, and the whole."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from labhil.diagnose.evidence import Evidence
+from labhil.diagnose.intake import Fault
+from labhil.diagnose.locate import Location
+from labhil.identify.fitted import Fitted
+from labhil.identify.score import Score
+from labhil.identify.statistics import Estimate
+
+
+@dataclass(frozen=True, slots=True)
+class Missing:
+    """One effect that the baseline lacks; ``probability`` is its share among itself and its rivals."""
+
+    term: str
+    joint: int | None
+    statement: str
+    equation: str
+    probability: float
+    parameters: list[Estimate]
+    evidence: Evidence
+
+
+@dataclass(frozen=True, slots=True)
+class RivalTerm:
+    """What would explain the data about as well in the place of a found term."""
+
+    term: str
+    instead_of: str
+    joint: int | None
+    probability: float
+    delta_bic: float
+    distinguishable: bool
+    experiment: str
+
+
+@dataclass(frozen=True, slots=True)
+class Undecided:
+    """A term of which these data cannot speak."""
+
+    term: str
+    joint: int | None
+    needs: tuple[str, ...]
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Excluded:
+    """A term that is not there: the largest size of its main parameter that could hide in the data."""
+
+    term: str
+    joint: int | None
+    largest_hidden: float
+    unit: str
+    confidence: float
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A parameter whose value differs from that of the user's own model."""
+
+    name: str
+    joint: int | None
+    before: float
+    after: float
+    unit: str
+    ci99: tuple[float, float]
+    p_value: float
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """The answer. ``data`` is "test" or "heldout"; scores are on data that the search never saw.
+
+    ``faults`` are those of the data, whether or not they make them unfit.
+    """
+
+    verdict: str
+    faults: tuple[Fault, ...]
+    p_value: float
+    p_value_method: str
+    p_value_floor: float
+    baseline_terms: tuple[str, ...]
+    baseline: list[Estimate]
+    changed: tuple[Change, ...]
+    location: Location | None
+    missing: tuple[Missing, ...]
+    rivals: tuple[RivalTerm, ...]
+    undecided: tuple[Undecided, ...]
+    excluded: tuple[Excluded, ...]
+    data: str
+    before: Score
+    after: Score
+    final_terms: tuple[str, ...]
+    final: list[Estimate]
+    baseline_fit: Fitted
+    final_fit: Fitted
+    seconds: float
