@@ -12,6 +12,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import stats
 
+from labhil.identify.windows import converter_step
 from labhil.signals import FloatArray, IntArray
 
 CHANCE = 1e-5
@@ -34,9 +35,6 @@ CALM = 0.1
 
 FAINTEST = 1e-9
 """Share of a channel's range under which its noise is a computer's rounding."""
-
-STRAY = 0.02
-"""Share of a converter's step by which what is rounded to it may stray: files round again."""
 
 ABRUPT = 6.0
 """Steps that a channel moves within two samples of a run that begins or ends at speed."""
@@ -215,25 +213,6 @@ def _driven_before(inputs: FloatArray, first: int, last: int) -> bool:
     during = np.ptp(inputs[first : last - 2], axis=0)
     around = np.abs(np.diff(inputs[max(last - 3, 0) : last + 2], axis=0)).max(axis=0)
     return bool(np.any((during > 0.0) & (during >= around)) and np.all((around <= during) | (around == 0.0)))
-
-
-def converter_step(x: FloatArray) -> float:
-    """The step whose multiples all readings (n,) are, or 0 when there is none.
-
-    Readings of a fast motion may all differ although they are rounded, so it is not their number that counts.
-    """
-    gaps = np.diff(np.unique(x))
-    rounding = 64.0 * np.finfo(np.float64).eps * float(np.abs(x).max(initial=0.0))
-    gaps = gaps[gaps > rounding]
-    if not len(gaps):
-        return 0.0
-    for parts in (1, 2, 3, 4):
-        step = float(gaps.min()) / parts
-        counts = np.rint(gaps / step)
-        step = float(gaps.sum() / counts.sum())
-        if np.all(np.abs(gaps - counts * step) < np.maximum(STRAY * step, rounding)):
-            return step
-    return 0.0
 
 
 def local_scale(x: FloatArray, reach: int, quantile: float) -> FloatArray:

@@ -13,10 +13,10 @@ from enum import StrEnum
 
 import numpy as np
 
-from labhil.diagnose.frozen import clipped, converter_step, stuck
+from labhil.diagnose.frozen import clipped, stuck
 from labhil.diagnose.jumps import spikes, zero_steps
 from labhil.diagnose.lag import partings
-from labhil.identify.windows import noise_of
+from labhil.identify.windows import converter_step, noise_of
 from labhil.physics.model import Record
 from labhil.signals import FloatArray
 

@@ -228,9 +228,9 @@ def _finish(
     fitted = rungs[chosen]
     model, sigma = fitted.problem.model, fitted.problem.sigma
     parameters = [model.parameters[i] for i in fitted.problem.free]
-    residuals = fitted.solution.residuals
     channels = record.outputs.shape[1]
-    inputs = np.repeat(record.inputs[fitted.problem.windows.rows, 0], channels)
+    residuals = fitted.solution.residuals.reshape(-1, channels)
+    inputs = record.inputs[fitted.problem.windows.rows, 0]
     values = fitted.theta[fitted.problem.free]
     return Fit(
         terms=fitted.terms,
@@ -241,14 +241,16 @@ def _finish(
         window=by_window[chosen].window,
         by_window=by_window,
         sigma=sigma,
-        residuals=residuals.reshape(-1, channels),
+        residuals=residuals,
         fitted=fitted,
         intervals=how.intervals,
         simultaneous=how.simultaneous,
         train=score(model, fitted.theta, record, noise_of(record)),
         test=score(model, fitted.theta, test, noise_of(test)) if test is not None else None,
-        ljung_box_p=statistics.whiteness(residuals),
-        input_crosscorrelation_p=statistics.input_crosscorrelation(residuals, inputs),
+        ljung_box_p=statistics.of_channels(statistics.whiteness, residuals),
+        input_crosscorrelation_p=statistics.of_channels(
+            partial(statistics.input_crosscorrelation, inputs=inputs), residuals
+        ),
         evaluations=sum(rung.problem.evaluations for rung in rungs),
         converged=fitted.solution.converged,
     )

@@ -13,7 +13,7 @@ correlation is not allowed to shrink a variance below the classical σ̂²(JᵀJ
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -200,6 +200,11 @@ def estimates(
             )
         )
     return rows
+
+
+def of_channels(test: Callable[[FloatArray], float], residuals: FloatArray) -> float:
+    """p value of a test of each channel of residuals (n, channels): the least times their number."""
+    return min(1.0, residuals.shape[1] * min(test(column) for column in residuals.T))
 
 
 def whiteness(residuals: FloatArray, lags: int = 20) -> float:

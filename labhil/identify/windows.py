@@ -18,6 +18,10 @@ FEWEST_IN_WINDOW = 8
 """In a window that is fitted: its own state costs a few."""
 
 
+STRAY = 0.02
+"""Share of a converter's step by which what is rounded to it may stray: files round again."""
+
+
 def fit_windows(record: Record, length: float) -> Windows:
     """Cut a record into equal windows of about ``length`` s, end to end.
 
@@ -97,16 +101,27 @@ def noise_of(record: Record) -> FloatArray:
     for column in record.outputs.T:
         third = np.diff(column, n=3)
         spread = float(np.sqrt(np.mean(np.square(third[np.abs(third) <= 8.0 * _robust(third)])) / 20.0))
-        sigmas.append(max(spread, smallest_step(column) / np.sqrt(12.0), 1e-12))
+        sigmas.append(max(spread, converter_step(column) / np.sqrt(12.0), 1e-12))
     return np.array(sigmas)
 
 
-def smallest_step(column: FloatArray) -> float:
-    """The step of a quantised channel, or 0 when nearly all values differ."""
-    values = np.unique(column)
-    if len(values) > 0.5 * len(column) or len(values) < 2:
+def converter_step(x: FloatArray) -> float:
+    """The step whose multiples all readings (n,) are, or 0 when there is none.
+
+    Readings of a fast motion may all differ although they are rounded, so it is not their number that counts.
+    """
+    gaps = np.diff(np.unique(x))
+    rounding = 64.0 * np.finfo(np.float64).eps * float(np.abs(x).max(initial=0.0))
+    gaps = gaps[gaps > rounding]
+    if not len(gaps):
         return 0.0
-    return float(np.median(np.diff(values)))
+    for parts in (1, 2, 3, 4):
+        step = float(gaps.min()) / parts
+        counts = np.rint(gaps / step)
+        step = float(gaps.sum() / counts.sum())
+        if np.all(np.abs(gaps - counts * step) < np.maximum(STRAY * step, rounding)):
+            return step
+    return 0.0
 
 
 def _robust(x: FloatArray) -> float:

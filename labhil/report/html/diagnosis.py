@@ -173,7 +173,12 @@ def _location(where: LocationPart | None) -> Section | None:
         )
     )
     rows = [
-        (tag("code", r.coordinate), quantity(r.low), quantity(r.high), percent(r.share_of_excess))
+        (
+            tag("code", r.coordinate),
+            quantity(r.low, r.unit),
+            quantity(r.high, r.unit),
+            percent(r.share_of_excess),
+        )
         for r in where.regimes
     ]
     columns = (*text("Coordinate"), *numbers("From", "To", "Share of the excess"))
