@@ -35,7 +35,7 @@ class Answer:
     """A trial's truth.
 
     ``recordings`` are the SHA-256 of search and test; ``truth`` the values of the fitted model's
-    parameters, by key; ``noise_floor`` that of the headline figure (1 with several outputs);
+    parameters, by key; ``noise_floors`` the RMSE of a perfect model by output, in its unit;
     ``baseline_strength`` the test RMSE of the refitted baseline over the noise floor.
     """
 
@@ -46,7 +46,7 @@ class Answer:
     effects: tuple[TrueEffect, ...]
     truth: Mapping[str, float]
     noise: TrueNoise
-    noise_floor: float
+    noise_floors: Mapping[str, float]
     baseline_strength: float
     conditions: Mapping[str, Any]
     plant: Mapping[str, float]

@@ -33,8 +33,12 @@ from labhil.rig import parse_rig
 CLOSE = 0.12
 """Difference of the logarithms of a strength and its target that is close enough."""
 REFITS = 6
+FIRST_FACTOR = 0.2
+"""Where sizes begin: small effects are refitted faster, and grow as they should."""
 FACTORS = (1e-5, 30.0)
 LEAST_EXCESS = 1e-3
+LEAST_GROWTH = 0.2
+"""Power of its size, at least, with which an effect's excess grows that can be scaled."""
 DRAWS = 30
 """Effects that are drawn, at most, until one can be as strong as it is to be."""
 FARTHEST = 30.0
@@ -94,7 +98,7 @@ def answer_of(found: Composed, name: str, recordings: dict[str, str]) -> Answer:
         effects=tuple(_effect(found, drawn, full, theta) for drawn in secret.effects),
         truth=oracle.values,
         noise=found.noise,
-        noise_floor=float(floors[0]) if len(floors) == 1 else 1.0,
+        noise_floors=dict(zip(oracle.test.output_names, floors.tolist(), strict=True)),
         baseline_strength=oracle.strength(plain),
         conditions=asdict(secret.conditions),
         plant=secret.parameters,
@@ -148,7 +152,7 @@ def _scaled(bare: Secret, drawn: Drawn, noise: TrueNoise) -> Drawn | None:
     The excess of the squared RMSE grows about as the square of a small effect: a secant on logarithms.
     """
     wanted = math.log(drawn.target**2 - 1.0)
-    factor, slope = 1.0, 2.0
+    factor, slope = FIRST_FACTOR, 2.0
     before: tuple[float, float] | None = None
     for _ in range(REFITS):
         sized = drawn.scaled(factor)
@@ -161,7 +165,10 @@ def _scaled(bare: Secret, drawn: Drawn, noise: TrueNoise) -> Drawn | None:
             return sized
         now = math.log(factor), math.log(max(strength**2 - 1.0, LEAST_EXCESS))
         if before is not None and abs(now[0] - before[0]) > 1e-6:
-            slope = min(max((now[1] - before[1]) / (now[0] - before[0]), 0.5), 8.0)
+            grown = (now[1] - before[1]) / (now[0] - before[0])
+            if grown < LEAST_GROWTH:
+                return None  # the data do not see it, or the baseline takes it up
+            slope = min(grown, 8.0)
         before = now
         step = min(max((wanted - now[1]) / slope, -math.log(FARTHEST)), math.log(FARTHEST))
         factor = math.exp(now[0] + step)

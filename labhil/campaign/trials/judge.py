@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from labhil.campaign.trials.answer import Answer, TrueEffect
 from labhil.campaign.trials.said import Named, Said
 from labhil.physics.terms import keyed
@@ -92,7 +94,7 @@ def judge(answer: Answer, said: Said, loss: Loss, overlap: float | None = None) 
         claims=_claims(real, said),
         covered=_covered(answer, said),
         complete=_holds_all(real, said),
-        modelled=_modelled(said) if sure else None,
+        modelled=_modelled(answer, said) if sure else None,
         after_over_floor=_after_over_floor(answer, said),
         overlap=overlap,
         seconds=said.seconds,
@@ -183,13 +185,26 @@ def _holds_all(real: Sequence[TrueEffect], said: Said) -> bool:
     )
 
 
-def _modelled(said: Said) -> bool:
-    if said.figures is None:
+def _modelled(answer: Answer, said: Said) -> bool:
+    """Whether the excess over the true noise floor has gone, in squares of the floor."""
+    marks = _against_floors(answer, said)
+    if not marks:
         return False
-    f = said.figures
-    room = f.mse_before - f.noise_floor**2
-    return room > 0.0 and (f.mse_before - f.mse_after) / room >= MODELLED
+    before, after = (float(np.mean([mark[k] ** 2 for mark in marks])) for k in (0, 1))
+    return before > 1.0 and (before - after) / (before - 1.0) >= MODELLED
 
 
 def _after_over_floor(answer: Answer, said: Said) -> float | None:
-    return None if said.figures is None else said.figures.rmse_after / answer.noise_floor
+    marks = _against_floors(answer, said)
+    return float(np.mean([after for _, after in marks])) if marks else None
+
+
+def _against_floors(answer: Answer, said: Said) -> list[tuple[float, float]]:
+    """RMSE before and after of every output over its true noise floor; nothing where an output is missing."""
+    told = {f.channel: f for f in said.figures}
+    if not set(answer.noise_floors) <= set(told):
+        return []
+    return [
+        (told[name].rmse_before / floor, told[name].rmse_after / floor)
+        for name, floor in answer.noise_floors.items()
+    ]

@@ -39,12 +39,11 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """The headline before and after, and the noise floor that the diagnosis states."""
+    """RMSE of one output before and after, in its unit."""
 
-    mse_before: float
-    mse_after: float
+    channel: str
+    rmse_before: float
     rmse_after: float
-    noise_floor: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +63,7 @@ class Said:
     named: tuple[Named, ...] = ()
     final_terms: tuple[str, ...] = ()
     intervals: tuple[Interval, ...] = ()
-    figures: Figures | None = None
+    figures: tuple[Figures, ...] = ()
     regimes: tuple[Regime, ...] = ()
     seconds: float = 0.0
     error: str = ""
@@ -115,11 +114,16 @@ def _interval(row: Mapping[str, Any]) -> Interval:
     )
 
 
-def _figures(data: Mapping[str, Any] | None) -> Figures | None:
-    names = ("mse_before", "mse_after", "rmse_after", "noise_floor")
-    if data is None or any(data.get(name) is None for name in names):
-        return None
-    return Figures(*(float(data[name]) for name in names))
+def _figures(data: Mapping[str, Any] | None) -> tuple[Figures, ...]:
+    """The outputs' figures; of an output with several metrics the first, which is the headline's."""
+    found: dict[str, Figures] = {}
+    for row in (data or {}).get("per_channel") or []:
+        channel, before, after = row["channel"], row["rmse_before"], row["rmse_after"]
+        if row.get("joint") is not None:
+            channel = f"{channel}_{row['joint']}"
+        if before is not None and after is not None:
+            found.setdefault(channel, Figures(channel, float(before), float(after)))
+    return tuple(found.values())
 
 
 def _regimes(location: Mapping[str, Any] | None) -> tuple[Regime, ...]:
