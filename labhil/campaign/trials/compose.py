@@ -133,8 +133,10 @@ def _known(found: Composed) -> list[str]:
 
 def _effects(bare: Secret, noise: TrueNoise, sort: str, random: np.random.Generator) -> list[Drawn]:
     """As many effects as the sort asks for, each of the strength drawn for it."""
-    model = composed(bare, noise).oracle.model
     effects: list[Drawn] = []
+    if not COUNTS[sort][0]:
+        return effects
+    model = composed(bare, noise).oracle.model
     for _ in range(DRAWS):
         if len(effects) == COUNTS[sort][0]:
             return effects

@@ -17,8 +17,9 @@ from labhil.campaign.trials.folder import (
     read_index,
     recording,
 )
-from labhil.campaign.trials.judge import Judged, judge
+from labhil.campaign.trials.judge import NULL_GAIN, Judged, judge
 from labhil.campaign.trials.oracle import Oracle
+from labhil.campaign.trials.regime import overlap
 from labhil.campaign.trials.said import Said, read_said
 from labhil.campaign.trials.seal import open_envelope, sha256_of
 from labhil.errors import UsageError
@@ -78,7 +79,8 @@ def _open(listed: Listed, answers: Path) -> Answer:
 
 
 def _judge(folder: Path, answer: Answer, said: Said) -> Judged:
-    return judge(answer, said, Bystander(folder, answer).loss)
+    oracle = Bystander(folder, answer)
+    return judge(answer, said, oracle.loss, oracle.overlap(said))
 
 
 @dataclass
@@ -101,6 +103,14 @@ class Bystander:
         new = [] if rival in others else [rival]
         instead = oracle.log_likelihood(oracle.refit([*others, *new], new))
         return effect.oracle_gain - (instead - without)
+
+    def overlap(self, said: Said) -> float | None:
+        """Agreement of reported regimes with the true one; None unless one effect makes the difference."""
+        real = [effect for effect in self.answer.effects if effect.oracle_gain >= NULL_GAIN]
+        if said.verdict != "missing_physics" or len(real) != 1 or not real[0].catalogue:
+            return None
+        others = [name for name in self.full if name != real[0].term]
+        return overlap(self.oracle, real[0].term, others, said.regimes)
 
     @property
     def full(self) -> list[str]:
