@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -21,7 +20,7 @@ from labhil.campaign.trials.draw import (
     draw_effect,
 )
 from labhil.campaign.trials.noise import TrueNoise
-from labhil.campaign.trials.oracle import Oracle
+from labhil.campaign.trials.oracle import Oracle, Refit
 from labhil.campaign.trials.truth import model_values
 from labhil.campaign.trials.world import Walk, loudness, record_of, simulate, truth_of
 from labhil.errors import RecordingError, RunError, UsageError
@@ -29,6 +28,7 @@ from labhil.identify.score import score
 from labhil.physics.rigs import model_for, rig_model
 from labhil.plants.rigs import WORLDS
 from labhil.rig import parse_rig
+from labhil.signals import FloatArray
 
 CLOSE = 0.12
 """Difference of the logarithms of a strength and its target that is close enough."""
@@ -86,16 +86,18 @@ def answer_of(found: Composed, name: str, recordings: dict[str, str]) -> Answer:
     baseline = rig_model(secret.kind).baseline
     known = _known(found)
     full = [*baseline, *known]
-    theta = oracle.refit(full)
+    without = {name: oracle.refit([term for term in full if term != name]) for name in known}
+    # what is within a model can never explain less than the model; a search may miss that
+    theta = min([oracle.refit(full), *without.values()], key=lambda found: found.cost).theta
     marks = score(oracle.model, theta, oracle.test, found.noise.sigma, oracle.horizon)
     floors = oracle.floors(theta, marks)
-    plain = theta if not known else oracle.refit(list(baseline))
+    plain = oracle.refit(baseline).theta if known else theta
     return Answer(
         trial=name,
         rig=secret.kind,
         recordings=recordings,
         baseline=tuple(baseline),
-        effects=tuple(_effect(found, drawn, full, theta) for drawn in secret.effects),
+        effects=tuple(_effect(found, drawn, without.get(drawn.term), theta) for drawn in secret.effects),
         truth=oracle.values,
         noise=found.noise,
         noise_floors=dict(zip(oracle.test.output_names, floors.tolist(), strict=True)),
@@ -105,19 +107,18 @@ def answer_of(found: Composed, name: str, recordings: dict[str, str]) -> Answer:
     )
 
 
-def _effect(found: Composed, drawn: Drawn, full: Sequence[str], theta: np.ndarray) -> TrueEffect:
+def _effect(found: Composed, drawn: Drawn, refit: Refit | None, theta: FloatArray) -> TrueEffect:
+    """What an effect is worth: ``refit`` is the model without it, None where no model has it anyway."""
     oracle = found.oracle
-    catalogue = drawn.term in _known(found)
-    without = oracle.refit([name for name in full if name != drawn.term]) if catalogue else theta
-    if catalogue:
-        best = oracle.log_likelihood(theta)
+    if refit is not None:
+        without, best = refit.theta, oracle.log_likelihood(theta)
     else:
         true = truth_of(found.secret, found.walks[1], 1)
-        best = oracle.log_likelihood_of_truth(without, true)
+        without, best = theta, oracle.log_likelihood_of_truth(theta, true)
     return TrueEffect(
         term=drawn.term,
         joint=None,
-        catalogue=catalogue,
+        catalogue=refit is not None,
         plant=drawn.parameters,
         parameters={k: v for k, v in oracle.values.items() if k.partition(".")[0] == drawn.term},
         strength=oracle.strength(without),
@@ -151,9 +152,11 @@ def _effects(bare: Secret, noise: TrueNoise, sort: str, random: np.random.Genera
 def _scaled(bare: Secret, drawn: Drawn, noise: TrueNoise) -> Drawn | None:
     """The effect with its target's strength beside those that are there, or None where it cannot have it.
 
-    The excess of the squared RMSE grows about as the square of a small effect: a secant on logarithms.
+    What counts is how much the squared RMSE exceeds that of the same bench without the effect. It grows
+    about as the square of a small effect: a secant on logarithms.
     """
     wanted = math.log(drawn.target**2 - 1.0)
+    unstirred = _strength(bare, None, noise)
     factor, slope = FIRST_FACTOR, 2.0
     before: tuple[float, float] | None = None
     for _ in range(REFITS):
@@ -163,9 +166,10 @@ def _scaled(bare: Secret, drawn: Drawn, noise: TrueNoise) -> Drawn | None:
         except (UsageError, RecordingError):
             factor /= 3.0  # so strong that the plant cannot be run
             continue
-        if abs(math.log(strength / drawn.target)) < CLOSE:
+        excess = max(strength**2 - unstirred**2, LEAST_EXCESS)
+        if abs(math.log(math.sqrt(1.0 + excess) / drawn.target)) < CLOSE and excess > LEAST_EXCESS:
             return sized
-        now = math.log(factor), math.log(max(strength**2 - 1.0, LEAST_EXCESS))
+        now = math.log(factor), math.log(excess)
         if before is not None and abs(now[0] - before[0]) > 1e-6:
             grown = (now[1] - before[1]) / (now[0] - before[0])
             if grown < LEAST_GROWTH:
@@ -179,12 +183,12 @@ def _scaled(bare: Secret, drawn: Drawn, noise: TrueNoise) -> Drawn | None:
     return None
 
 
-def _strength(bare: Secret, drawn: Drawn, noise: TrueNoise) -> float:
+def _strength(bare: Secret, drawn: Drawn | None, noise: TrueNoise) -> float:
     """How strong an effect is beside those that are there: all but it refitted."""
-    found = composed(replace(bare, effects=(*bare.effects, drawn)), noise)
-    others = [name for name in _known(found) if name != drawn.term]
-    theta = found.oracle.refit([*rig_model(bare.kind).baseline, *others])
-    return found.oracle.strength(theta)
+    extra = () if drawn is None else (drawn,)
+    found = composed(replace(bare, effects=(*bare.effects, *extra)), noise)
+    others = [name for name in _known(found) if drawn is None or name != drawn.term]
+    return found.oracle.strength(found.oracle.refit([*rig_model(bare.kind).baseline, *others]).theta)
 
 
 def _all_numbers(secret: Secret) -> dict[str, float]:

@@ -17,13 +17,24 @@ from labhil.identify.windows import fit_windows
 from labhil.physics.model import Model, Record
 from labhil.signals import FloatArray
 
-RUNGS = (0.25, 1.0)
-"""Lengths of the windows of a refit, in scored horizons."""
+RUNGS = (0.5, 1.5)
+"""Lengths of the windows of a refit, in scored horizons; the last as long as those of a likelihood.
+
+Where nothing but the measurement is noisy, shorter windows would throw away what the data know.
+"""
 JUDGED = 1.5
 """Length of the windows of a likelihood, in scored horizons: a lead-in and a scored stretch."""
 STEPS = 12
 MOST_CARRIED = 100.0
 """Variance that an unseen initial state may carry into a floor, in those of the noise (as in a score)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Refit:
+    """A model's vector fitted to the search data, and the sum of its squared residuals there."""
+
+    theta: FloatArray
+    cost: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +59,8 @@ class Oracle:
         theta = start_theta(model, values)
         return cls(model, model.prepare(search), model.prepare(test), noise, values, model.horizon_at(theta))
 
-    def refit(self, terms: Sequence[str], fresh: Sequence[str] = ()) -> FloatArray:
-        """The model's vector with these terms fitted to the search data from the truth on.
+    def refit(self, terms: Sequence[str], fresh: Sequence[str] = ()) -> Refit:
+        """These terms fitted to the search data from the truth on.
 
         Terms in ``fresh``, which are not in the truth, begin at each of their own starts.
         """
@@ -59,7 +70,7 @@ class Oracle:
             self.model, self.search, terms, lengths, self.noise.sigma,
             start=start_theta(self.model, known), fresh=fresh,
         )  # fmt: skip
-        return rungs[-1].theta
+        return Refit(rungs[-1].theta, rungs[-1].solution.cost)
 
     def strength(self, theta: FloatArray) -> float:
         """RMSE of a vector on the test data over the noise floor, the mean of all outputs'."""

@@ -28,7 +28,7 @@ def overlap(oracle: Oracle, term: str, others: Sequence[str], reported: Sequence
     """
     theta = start_theta(oracle.model, oracle.values)
     with_it = score(oracle.model, theta, oracle.test, oracle.noise.sigma, oracle.horizon)
-    without = score(oracle.model, oracle.refit(others), oracle.test, oracle.noise.sigma, oracle.horizon)
+    without = score(oracle.model, oracle.refit(others).theta, oracle.test, oracle.noise.sigma, oracle.horizon)
     excess = ((without.errors**2 - with_it.errors**2) / oracle.noise.sigma**2).sum(axis=1)
     windows = with_it.windows
     less = _without(oracle, theta, term)

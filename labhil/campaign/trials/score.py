@@ -99,10 +99,13 @@ class Bystander:
         if rival not in oracle.model.terms:
             return float("inf")
         others = [name for name in self.full if name != effect.term]
-        without = oracle.log_likelihood(oracle.refit(others))
+        without = oracle.refit(others)
         new = [] if rival in others else [rival]
-        instead = oracle.log_likelihood(oracle.refit([*others, *new], new))
-        return effect.oracle_gain - (instead - without)
+        tried = oracle.refit([*others, *new], new)
+        # what is within a model can never explain less than the model; a search may miss that
+        best = min(tried, without, key=lambda found: found.cost)
+        known, instead = (oracle.log_likelihood(found.theta) for found in (without, best))
+        return effect.oracle_gain - (instead - known)
 
     def overlap(self, said: Said) -> float | None:
         """Agreement of reported regimes with the true one; None unless one effect makes the difference."""
