@@ -19,6 +19,8 @@ from labhil.signals import FloatArray, Hold, Signal
 
 SLOPE_LAG = 0.03
 """Time constant (s) of the controllers' derivative."""
+FINEST_BITS = 16.0
+"""Of the ball and beam's converter, which is always there."""
 HEADROOM = 1.25
 """Full scale of a converter over the largest value it was expected to see."""
 
@@ -89,7 +91,7 @@ def record_of(walk: Walk, secret: Secret) -> Record:
 
 
 def _silence(bench: Bench) -> dict[str, float]:
-    fine = {"adc_bits": 16.0, "adc_range": 1e-3 * 2**16} if bench.kind == "ball_beam" else {}
+    fine = {"adc_bits": FINEST_BITS} if bench.kind == "ball_beam" else {}
     return {bench.noise_name(name): 0.0 for name in bench.outputs} | fine
 
 
@@ -98,7 +100,7 @@ def _measured(bench: Bench, secret: Secret, noise: TrueNoise) -> dict[str, float
     given = {bench.noise_name(n): level for n, level in zip(bench.outputs, noise.level, strict=True)}
     given["noise_correlation"] = noise.correlation
     if bench.kind == "ball_beam":
-        return given | {"adc_bits": float(secret.conditions.bits or 16)}
+        return given | {"adc_bits": float(secret.conditions.bits) or FINEST_BITS}
     return given | {f"{n}_resolution": step for n, step in zip(bench.outputs, noise.step, strict=True)}
 
 
