@@ -214,7 +214,7 @@ def remember(s: FloatArray, u: float, m: Carriage) -> None:
     """An axis keeps nothing beside its states."""
 
 
-run_axis = kernel_for(push, remember)
+run_axis = kernel_for(push, remember, __name__)
 
 
 @compiled

@@ -41,6 +41,11 @@ class BallBeamRig:
             raise UsageError("a ball and beam with time_delay takes no stamp_jitter: it counts samples")
         self._time = 0.0
 
+    @property
+    def time(self) -> float:
+        """Time since the plant began, s."""
+        return self._time
+
     def step(self, angle: float) -> Mapping[str, float]:
         """Turn straight to ``angle`` (rad) in one sample period; the signals at its end."""
         self._beat()

@@ -211,7 +211,7 @@ def remember(s: FloatArray, u: float, m: Motor) -> None:
     """A motor keeps nothing beside its states."""
 
 
-run_motor = kernel_for(push, remember)
+run_motor = kernel_for(push, remember, __name__)
 
 
 @compiled

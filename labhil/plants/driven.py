@@ -58,9 +58,13 @@ def run(
         out[n, s.size] = s[LAG] if b.lag > 0.0 else u
 
 
-def kernel_for(push: Callable[..., Any], remember: Callable[..., Any]) -> Kernel:
-    """:func:`run` compiled for a rig's push, to be called by a kernel that is kept on disk."""
-    scope = {**globals(), "move": mover_for(push, remember)}
+def kernel_for(push: Callable[..., Any], remember: Callable[..., Any], rig: str) -> Kernel:
+    """:func:`run` compiled for a rig's push, to be called by a kernel that is kept on disk.
+
+    ``rig`` is the name of the rig's module: two rigs' pieces of the same name, loaded from disk into one
+    process, would otherwise be taken for each other.
+    """
+    scope = {**globals(), "__name__": rig, "move": mover_for(push, remember, rig)}
     bound: Kernel = specialised(FunctionType(run.__code__, scope, "run"))
     return bound
 

@@ -292,13 +292,14 @@ PIECES = (
 )  # fmt: skip
 
 
-def mover_for(push: Callable[..., Any], remember: Callable[..., Any]) -> Callable[..., None]:
+def mover_for(push: Callable[..., Any], remember: Callable[..., Any], rig: str) -> Callable[..., None]:
     """:func:`move` compiled for this push.
 
     A compiled function that takes another one as an argument cannot be kept on disk, nor can what calls
-    it; so the pieces are compiled once more for each rig, with its push under a global name.
+    it; so the pieces are compiled once more for each rig, with its push under a global name,
+    and as pieces of the module ``rig``.
     """
-    scope = {**globals(), "push": push, "remember": remember}
+    scope = {**globals(), "__name__": rig, "push": push, "remember": remember}
     for piece in PIECES:
         scope[piece.__name__] = specialised(FunctionType(piece.__code__, scope, piece.__name__))
     bound: Callable[..., None] = scope["move"]

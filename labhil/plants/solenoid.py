@@ -229,7 +229,7 @@ def remember(s: FloatArray, u: float, m: Plunger) -> None:
     s[TURNED] = turned(s[TURNED], u, m.width)
 
 
-run_plunger = kernel_for(push, remember)
+run_plunger = kernel_for(push, remember, __name__)
 
 
 @compiled

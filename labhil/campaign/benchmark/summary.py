@@ -10,40 +10,12 @@ import numpy as np
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
-from scipy import stats
 
 from labhil.campaign.benchmark.trial import Case, Row, Trial
+from labhil.campaign.share import Share
 
 NORMAL_MEDIAN = 0.6745
 """Median of the absolute value of a standard normal deviate."""
-
-
-@dataclass(frozen=True, slots=True)
-class Share:
-    """A count of so many with its two-sided 95 % Clopper-Pearson limits."""
-
-    hits: int
-    of: int
-
-    @property
-    def value(self) -> float:
-        """The share, NaN of none."""
-        return self.hits / self.of if self.of else float("nan")
-
-    @property
-    def limits(self) -> tuple[float, float]:
-        """Lower and upper limit."""
-        k, n = self.hits, self.of
-        low = float(stats.beta.ppf(0.025, k, n - k + 1)) if k else 0.0
-        high = float(stats.beta.ppf(0.975, k + 1, n - k)) if k < n else 1.0
-        return low, high
-
-    def __str__(self) -> str:
-        """As people write it: ``98.2 % (393 of 400; 96.3 to 99.3)``."""
-        if not self.of:
-            return "–"
-        low, high = self.limits
-        return f"{100 * self.value:.1f} % ({self.hits} of {self.of}; {100 * low:.1f} to {100 * high:.1f})"
 
 
 @dataclass(frozen=True, slots=True)

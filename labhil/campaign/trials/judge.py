@@ -1,0 +1,210 @@
+"""One trial judged: what was said against what is true, by the contract's rules."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from labhil.campaign.trials.answer import Answer, TrueEffect
+from labhil.campaign.trials.said import Named, Said
+from labhil.physics.terms import keyed
+
+NULL_GAIN = 3.0
+"""Oracle's gain (nats) below which an effect does not count as a difference."""
+SURE_GAIN = 10.0
+"""Oracle's gain (nats) from which an effect has to be found."""
+RIVAL_LOSS = 5.0
+"""Nats by which a rival, refitted, may fall short of the truth and still be an honest one."""
+MODELLED = 0.8
+UNMODELLED = "unmodelled"
+NONE = "none"
+OUTSIDE = "outside the catalogue"
+
+Loss = Callable[[TrueEffect, str], float]
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """What counts of one trial.
+
+    ``sure`` effects have to be found (10 nats or more); ``exact`` says that they were named and nothing
+    else was, ``single`` that no name of the answer had a rival beside it. ``confused`` holds pairs of true
+    and named terms, ``claims`` pairs of a stated probability and whether it was right, ``covered`` for each
+    interval whether it holds the truth, ``complete`` whether the final model holds every listed effect.
+    ``modelled`` and ``after_over_floor`` are None where there is nothing to compare.
+    """
+
+    trial: str
+    verdict: str | None
+    null: bool
+    sure: tuple[TrueEffect, ...]
+    strongest: float | None
+    detected: bool
+    exact: bool
+    single: bool
+    confused: tuple[tuple[str, str], ...]
+    claims: tuple[tuple[float, bool], ...]
+    covered: tuple[bool, ...]
+    complete: bool
+    modelled: bool | None
+    after_over_floor: float | None
+    overlap: float | None
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Matched:
+    """Which claim stands for which effect; ``over`` are claims that stand for none."""
+
+    pairs: tuple[tuple[TrueEffect, Named], ...]
+    over: tuple[Named, ...]
+
+    def of(self, effect: TrueEffect) -> Named | None:
+        """The claim for this effect."""
+        return next((named for found, named in self.pairs if found is effect), None)
+
+
+def judge(answer: Answer, said: Said, loss: Loss, overlap: float | None = None) -> Judged:
+    """Judge a trial; ``loss`` says how many nats a rival, refitted in the place of an effect, loses to it."""
+    real = [effect for effect in answer.effects if effect.oracle_gain >= NULL_GAIN]
+    sure = sorted(
+        (effect for effect in real if effect.oracle_gain >= SURE_GAIN), key=lambda effect: -effect.oracle_gain
+    )
+    optional = [effect for effect in real if effect not in sure]
+    claims = claims_of(said)
+    matched = match([*sure, *optional], claims)
+    found = [matched.of(effect) for effect in sure]
+    honest = all(
+        named is not None and is_honest(effect, named, loss)
+        for effect, named in zip(sure, found, strict=True)
+    )
+    exact = bool(sure) and honest and not matched.over
+    return Judged(
+        trial=answer.trial,
+        verdict=said.verdict,
+        null=not real,
+        sure=tuple(sure),
+        strongest=max((effect.strength for effect in real), default=None),
+        detected=said.verdict in {"missing_physics", "unexplained_mismatch"},
+        exact=exact,
+        single=exact and all(named is not None and not named.rivals for named in found),
+        confused=confusions(sure, bool(real), matched, said),
+        claims=_claims(real, said),
+        covered=_covered(answer, said),
+        complete=_holds_all(real, said),
+        modelled=_modelled(answer, said) if sure else None,
+        after_over_floor=_after_over_floor(answer, said),
+        overlap=overlap,
+        seconds=said.seconds,
+    )
+
+
+def claims_of(said: Said) -> tuple[Named, ...]:
+    """What was claimed; a mismatch that is left unexplained claims something without a name."""
+    if said.verdict == "unexplained_mismatch" and not said.named:
+        return (Named(UNMODELLED, None),)
+    return said.named
+
+
+def fits(effect: TrueEffect, name: str) -> bool:
+    """Whether a name is right for an effect; one outside the catalogue has no name of its own."""
+    if not effect.catalogue:
+        return name.startswith(UNMODELLED)
+    return name == keyed(effect.term, effect.joint)
+
+
+def match(effects: Sequence[TrueEffect], claims: Sequence[Named]) -> Matched:
+    """Give every effect the claim whose first choice it is, then one that has it among the rivals."""
+    left = list(claims)
+    pairs: list[tuple[TrueEffect, Named]] = []
+    for first_only in (True, False):
+        for effect in effects:
+            if any(found is effect for found, _ in pairs):
+                continue
+            names = [(claim, claim.names[:1] if first_only else claim.names) for claim in left]
+            claim = next((c for c, own in names if any(fits(effect, name) for name in own)), None)
+            if claim is not None:
+                pairs.append((effect, claim))
+                left.remove(claim)
+    return Matched(tuple(pairs), tuple(left))
+
+
+def is_honest(effect: TrueEffect, named: Named, loss: Loss) -> bool:
+    """Whether the truth is among the names and every other one explains the test data nearly as well."""
+    others = [name for name in named.names if not fits(effect, name)]
+    return len(others) < len(named.names) and all(loss(effect, name) < RIVAL_LOSS for name in others)
+
+
+def confusions(
+    sure: Sequence[TrueEffect], differs: bool, matched: Matched, said: Said
+) -> tuple[tuple[str, str], ...]:
+    """Pairs of true and named term: effects that were not found stand beside what was named in their place.
+
+    A trial without anything to be found enters where it is a null, with what was said of it.
+    """
+    over = [named.term for named in matched.over]
+    pairs = []
+    for effect in sure:
+        named = matched.of(effect)
+        label = keyed(effect.term, effect.joint) if effect.catalogue else OUTSIDE
+        if named is not None:
+            pairs.append((label, UNMODELLED if named.term.startswith(UNMODELLED) else named.term))
+        else:
+            pairs.append((label, over.pop(0) if over else _silence(said)))
+    if not sure and not differs and not over:
+        pairs.append((NONE, _silence(said)))
+    return (*pairs, *((NONE, name) for name in over))
+
+
+def _silence(said: Said) -> str:
+    """What stands in the place of a name where there is none."""
+    if said.verdict is None:
+        return "failed"
+    return NONE if said.verdict in {"no_mismatch", "missing_physics"} else said.verdict
+
+
+def _claims(real: Sequence[TrueEffect], said: Said) -> tuple[tuple[float, bool], ...]:
+    stated = [pair for named in said.named for pair in ((named.term, named.probability), *named.rivals)]
+    return tuple(
+        (float(p), any(fits(effect, name) for effect in real)) for name, p in stated if p is not None
+    )
+
+
+def _covered(answer: Answer, said: Said) -> tuple[bool, ...]:
+    return tuple(
+        row.low <= answer.truth[row.key] <= row.high for row in said.intervals if row.key in answer.truth
+    )
+
+
+def _holds_all(real: Sequence[TrueEffect], said: Said) -> bool:
+    held = set(said.final_terms)
+    return all(
+        effect.catalogue and bool({effect.term, keyed(effect.term, effect.joint)} & held) for effect in real
+    )
+
+
+def _modelled(answer: Answer, said: Said) -> bool:
+    """Whether the excess over the true noise floor has gone, in squares of the floor."""
+    marks = _against_floors(answer, said)
+    if not marks:
+        return False
+    before, after = (float(np.mean([mark[k] ** 2 for mark in marks])) for k in (0, 1))
+    return before > 1.0 and (before - after) / (before - 1.0) >= MODELLED
+
+
+def _after_over_floor(answer: Answer, said: Said) -> float | None:
+    marks = _against_floors(answer, said)
+    return float(np.mean([after for _, after in marks])) if marks else None
+
+
+def _against_floors(answer: Answer, said: Said) -> list[tuple[float, float]]:
+    """RMSE before and after of every output over its true noise floor; nothing where an output is missing."""
+    told = {f.channel: f for f in said.figures}
+    if not set(answer.noise_floors) <= set(told):
+        return []
+    return [
+        (told[name].rmse_before / floor, told[name].rmse_after / floor)
+        for name, floor in answer.noise_floors.items()
+    ]

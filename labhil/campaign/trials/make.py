@@ -1,0 +1,128 @@
+"""``labhil trial make``: draw trials, write their recordings, put their answers into envelopes elsewhere."""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from labhil.campaign.trials.bench import Bench, bench_of
+from labhil.campaign.trials.compose import Composed, answer_of, compose
+from labhil.campaign.trials.draw import COUNTS, draw_sort
+from labhil.campaign.trials.folder import INDEX, RIG, Index, Listed, recording
+from labhil.campaign.trials.seal import sha256_of, write_envelope
+from labhil.campaign.trials.world import Walk, signals_of
+from labhil.errors import UsageError
+from labhil.recording.reader import RIG_ATTACHMENT
+from labhil.recording.writer import RecordingWriter
+from labhil.signals import Batch, Stream
+
+SEED_BITS = 128
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """What is asked for: a kind of rig, how many trials of which sort, and where they go.
+
+    ``seed`` None draws from the system's randomness.
+    """
+
+    kind: str
+    trials: int
+    sort: str
+    out: Path
+    answers: Path
+    seed: int | None = None
+
+
+def answers_beside(folder: Path) -> Path:
+    """The folder of the answers where nobody names one."""
+    return folder.with_name(f"{folder.name}-answers")
+
+
+def make_trials(order: Order, jobs: int, progress: Progress) -> Index:
+    """Make trials in ``jobs`` processes; each is written as soon as it is there.
+
+    UsageError for a kind or sort that there is not, and where trials or answers are in the way.
+    """
+    bench = _checked(order, jobs)
+    order.out.mkdir(parents=True, exist_ok=True)
+    order.answers.mkdir(parents=True, exist_ok=True)
+    (order.out / RIG).write_text(bench.rig, encoding="utf-8")
+    width = max(3, len(str(order.trials)))
+    names = [f"{i:0{width}d}" for i in range(1, order.trials + 1)]
+    done: dict[str, Listed] = {}
+    with ProcessPoolExecutor(jobs) as executor:
+        futures = [
+            executor.submit(make_trial, order, name, _entropy(order.seed, i)) for i, name in enumerate(names)
+        ]
+        try:
+            for future in as_completed(futures):
+                listed = future.result()
+                done[listed.name] = listed
+                index = Index(order.kind, order.seed is not None, tuple(done[n] for n in names if n in done))
+                index.write(order.out)
+                progress(f"{order.kind}: {len(done)} of {order.trials} trials made")
+        except BaseException:
+            executor.shutdown(cancel_futures=True)
+            raise
+    return index
+
+
+def make_trial(order: Order, name: str, entropy: tuple[int, ...]) -> Listed:
+    """Draw and write one trial; only its seal is returned."""
+    random = np.random.default_rng(entropy)
+    found = compose(order.kind, draw_sort(order.sort, random), random)
+    paths = [_write(found, walk, order.out, name, i) for i, walk in enumerate(found.walks)]
+    hashes = {path.stem: sha256_of(path) for path in paths}
+    answer = answer_of(found, name, hashes).to_json()
+    nonce = random.bytes(32) if order.seed is not None else None
+    return Listed(name, write_envelope(answer, order.answers / f"{name}.json", nonce), hashes)
+
+
+def _checked(order: Order, jobs: int) -> Bench:
+    if order.trials < 1:
+        raise UsageError(f"--trials: expected at least 1, found {order.trials}")
+    if jobs < 1:
+        raise UsageError(f"--jobs: expected at least 1, found {jobs}")
+    if order.sort not in (*COUNTS, "mixed"):
+        raise UsageError(f"--effects: expected one of {', '.join(COUNTS)}, mixed; found {order.sort!r}")
+    if order.answers.resolve().is_relative_to(order.out.resolve()):
+        raise UsageError(
+            f"--answers {order.answers}: expected a folder outside {order.out}, which a diagnosis may read"
+        )
+    for folder in (order.out, order.answers):
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise UsageError(f"{folder}: expected a new or an empty folder, found {_in(folder)}")
+    return bench_of(order.kind)
+
+
+def _in(folder: Path) -> str:
+    if not folder.is_dir():
+        return "a file"
+    return "trials" if (folder / INDEX).exists() else "other files in it"
+
+
+def _entropy(seed: int | None, trial: int) -> tuple[int, ...]:
+    """What a trial is drawn from: 128 bits of the system's randomness, or the seed and its number."""
+    return (secrets.randbits(SEED_BITS),) if seed is None else (seed, trial)
+
+
+def _write(found: Composed, walk: Walk, out: Path, name: str, which: int) -> Path:
+    """One recording with the rig file, and nothing of the secret."""
+    bench = bench_of(found.secret.kind)
+    signals = signals_of(bench, found.secret.conditions.auxiliary)
+    path = recording(out, name, ("search", "test")[which])
+    path.parent.mkdir(exist_ok=True)
+    t_ns = np.rint(walk.t * 1e9).astype(np.int64)
+    values = np.column_stack([walk.signals[signal.name] for signal in signals])
+    with RecordingWriter(path) as writer:
+        writer.attach(RIG_ATTACHMENT, "application/toml", bench.rig.encode())
+        channel = writer.add_stream(bench.kind, Stream("state", signals, 1.0 / bench.period), {})
+        writer.write(channel, Batch(np.arange(len(t_ns), dtype=np.int64), t_ns, t_ns, values))
+    return path

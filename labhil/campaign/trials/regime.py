@@ -1,0 +1,85 @@
+"""Where an effect truly shows, and how far the reported regimes agree with that."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from labhil.campaign.trials.oracle import Oracle
+from labhil.campaign.trials.said import Regime
+from labhil.identify.fitted import start_theta
+from labhil.identify.score import score
+from labhil.signals import FloatArray
+
+SHARE = 0.8
+"""Of the excess squared error that the true regime holds."""
+WIDEST = 0.6
+"""Share of the samples beyond which a regime is none."""
+BEAM = ("beam_sine", "beam_rate")
+"""Coordinates behind the way in: an effect there changes what the forces are made of."""
+
+
+def overlap(oracle: Oracle, term: str, others: Sequence[str], reported: Sequence[Regime]) -> float | None:
+    """Intersection over union of reported and true regime of an effect, on the test's scored samples.
+
+    ``others`` are the terms of the true model without it. None where that cannot be said: the effect
+    exerts no force of its own, or shows nearly everywhere.
+    """
+    theta = start_theta(oracle.model, oracle.values)
+    with_it = score(oracle.model, theta, oracle.test, oracle.noise.sigma, oracle.horizon)
+    without = score(oracle.model, oracle.refit(others).theta, oracle.test, oracle.noise.sigma, oracle.horizon)
+    excess = ((without.errors**2 - with_it.errors**2) / oracle.noise.sigma**2).sum(axis=1)
+    windows = with_it.windows
+    less = _without(oracle, theta, term)
+    here, there = (
+        {
+            name: values[windows.scored]
+            for name, values in oracle.model.coordinates(
+                vector, oracle.test, windows.whole, with_it.states
+            ).items()
+        }
+        for vector in (theta, less)
+    )
+    fed = {**here, **{name: there[name] for name in BEAM if name in there}}
+    own = np.abs(oracle.model.effort(theta, here) - oracle.model.effort(less, fed))
+    true = level_set(own, excess)
+    return None if true is None else agreement(true, inside(here, reported))
+
+
+def level_set(own: FloatArray, excess: FloatArray) -> np.ndarray | None:
+    """The smallest level set (n,) of an own contribution that holds 80 % of the excess; None if too wide."""
+    total = float(excess.sum())
+    if total <= 0.0 or not own.any():
+        return None
+    order = np.argsort(-own, kind="stable")
+    held = np.cumsum(excess[order]) >= SHARE * total
+    level = own[order[int(np.argmax(held))]]
+    chosen = own >= level
+    return chosen if chosen.mean() <= WIDEST else None
+
+
+def inside(coordinates: Mapping[str, FloatArray], reported: Sequence[Regime]) -> np.ndarray:
+    """Which samples lie in any of the reported regimes."""
+    n = len(next(iter(coordinates.values())))
+    chosen = np.zeros(n, dtype=bool)
+    for regime in reported:
+        if regime.coordinate in coordinates:
+            x = coordinates[regime.coordinate]
+            chosen |= (x >= regime.low) & (x <= regime.high)
+    return chosen
+
+
+def agreement(one: np.ndarray, other: np.ndarray) -> float:
+    """Intersection over union of two sets of samples."""
+    union = int(np.count_nonzero(one | other))
+    return int(np.count_nonzero(one & other)) / union if union else 0.0
+
+
+def _without(oracle: Oracle, theta: FloatArray, term: str) -> FloatArray:
+    """The vector with a term's strengths at nothing."""
+    less = theta.copy()
+    for i, parameter in enumerate(oracle.model.parameters):
+        if parameter.term == term and not parameter.shape:
+            less[i] = 0.0
+    return less

@@ -1,0 +1,127 @@
+"""``labhil trial run``: diagnose every trial blind, keep each result at once, and hash what was said.
+
+Diagnoses run in processes of their own that are given the trials' folder and nothing else; there, opening
+any envelope (JSON, which no diagnosis has a reason to read) is refused by an audit hook that Python code
+cannot take off again.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import sys
+import time
+import traceback
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from typing import Any
+
+from labhil.campaign.trials.folder import (
+    HASHES,
+    RESULTS,
+    Listed,
+    read_hashes,
+    read_index,
+    recording,
+    replace_text,
+    write_hashes,
+)
+from labhil.campaign.trials.seal import sha256_of
+from labhil.errors import UsageError
+from labhil.report.study import diagnose_study, load_material
+
+SCHEMA = "labhil.diagnosis/1"
+Progress = Callable[[str], None]
+
+
+def run_trials(folder: Path, jobs: int, progress: Progress) -> str:
+    """Diagnose the trials that have no result yet, in ``jobs`` processes; the SHA-256 of all hashes.
+
+    A result that is not the one that was hashed is refused. UsageError where recordings are not the
+    sealed ones.
+    """
+    if jobs < 1:
+        raise UsageError(f"--jobs: expected at least 1, found {jobs}")
+    index = read_index(folder)
+    for listed in index.trials:
+        _check_recordings(folder, listed)
+    (folder / RESULTS).mkdir(exist_ok=True)
+    hashes = _kept(folder)
+    missing = [listed.name for listed in index.trials if listed.name not in hashes]
+    if missing:
+        _diagnose_all(folder, missing, hashes, jobs, progress)
+    return sha256_of(folder / HASHES)
+
+
+def _kept(folder: Path) -> dict[str, str]:
+    """The hashes of results that are there; what was written but not hashed is diagnosed again."""
+    hashes = read_hashes(folder)
+    for name, expected in hashes.items():
+        path = folder / RESULTS / f"{name}.json"
+        if not path.exists() or sha256_of(path) != expected:
+            raise UsageError(f"{path}: is not the result that {HASHES} names: expected SHA-256 {expected}")
+    return hashes
+
+
+def _check_recordings(folder: Path, listed: Listed) -> None:
+    for role, expected in listed.recordings.items():
+        path = recording(folder, listed.name, role)
+        found = sha256_of(path)
+        if found != expected:
+            raise UsageError(f"{path}: not the sealed recording: expected SHA-256 {expected}, found {found}")
+
+
+def _diagnose_all(
+    folder: Path, names: list[str], hashes: dict[str, str], jobs: int, progress: Progress
+) -> None:
+    # spawned processes share no memory with this one, whatever it has read
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(jobs, mp_context=context, initializer=keep_envelopes_shut) as executor:
+        futures = {executor.submit(diagnose_trial, folder, name): name for name in names}
+        try:
+            for count, future in enumerate(as_completed(futures), 1):
+                name = futures[future]
+                result = future.result()
+                path = folder / RESULTS / f"{name}.json"
+                text = json.dumps(result, ensure_ascii=False, allow_nan=False, indent=1)
+                replace_text(path, text + "\n")
+                hashes[name] = sha256_of(path)
+                write_hashes(folder, hashes)
+                said = result["verdict"] or f"failed: {result['error']}"
+                progress(f"{count} of {len(names)} trials diagnosed; {name}: {said}")
+        except BaseException:
+            executor.shutdown(cancel_futures=True)
+            raise
+
+
+def keep_envelopes_shut() -> None:
+    """Refuse from now on, in this process, to open any JSON file."""
+    sys.addaudithook(_refuse_envelopes)
+
+
+def _refuse_envelopes(event: str, arguments: tuple[Any, ...]) -> None:
+    if event == "open" and isinstance(arguments[0], (str, bytes)):
+        name = os.fsdecode(arguments[0])
+        if name.lower().endswith(".json"):
+            raise PermissionError(f"{name}: a diagnosis of sealed trials opens no envelopes")
+
+
+def diagnose_trial(folder: Path, name: str) -> dict[str, Any]:
+    """The diagnosis of one trial as JSON data; one that fails has the verdict null and says why."""
+    began = time.perf_counter()
+    try:
+        search, test = (recording(folder, name, role) for role in ("search", "test"))
+        result: dict[str, Any] = diagnose_study(load_material(search, test_path=test)).json
+    except Exception as error:  # noqa: BLE001 - whatever it is, the other trials go on and it is counted
+        return {
+            "schema": SCHEMA,
+            "verdict": None,
+            "error": f"{type(error).__name__}: {error}",
+            "traceback": traceback.format_exc(),
+            "missing": [],
+            "rivals": [],
+            "seconds": time.perf_counter() - began,
+        }
+    return result

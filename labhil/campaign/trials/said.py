@@ -1,0 +1,131 @@
+"""What a diagnosis said, as far as it is scored."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from labhil.campaign.trials.folder import read_object
+from labhil.errors import UsageError
+from labhil.physics.terms import keyed
+
+SCHEMA = "labhil.diagnosis/1"
+
+
+@dataclass(frozen=True, slots=True)
+class Named:
+    """One effect that is claimed: its key with its stated probability, and those of its rivals."""
+
+    term: str
+    probability: float | None
+    rivals: tuple[tuple[str, float | None], ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Everything that this answer says it might be, the first choice first."""
+        return (self.term, *(name for name, _ in self.rivals))
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """A 99 % interval of a parameter by key; an open end is infinite."""
+
+    key: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """RMSE of one output before and after, in its unit."""
+
+    channel: str
+    rmse_before: float
+    rmse_after: float
+
+
+@dataclass(frozen=True, slots=True)
+class Regime:
+    """A range of a coordinate in which the mismatch is said to live."""
+
+    coordinate: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """A diagnosis; ``verdict`` is None where it failed."""
+
+    verdict: str | None
+    named: tuple[Named, ...] = ()
+    final_terms: tuple[str, ...] = ()
+    intervals: tuple[Interval, ...] = ()
+    figures: tuple[Figures, ...] = ()
+    regimes: tuple[Regime, ...] = ()
+    seconds: float = 0.0
+    error: str = ""
+
+
+def read_said(path: Path) -> Said:
+    """Read a result; UsageError where it is not of the contract's form."""
+    data = read_object(path, SCHEMA)
+    try:
+        return said_in(data)
+    except (KeyError, TypeError, ValueError) as error:
+        raise UsageError(
+            f"{path}: expected a diagnosis of `labhil diagnose --json`, found: {error!r}"
+        ) from error
+
+
+def said_in(data: Mapping[str, Any]) -> Said:
+    """What a diagnosis as JSON data said."""
+    if data["verdict"] is None:
+        return Said(None, seconds=float(data["seconds"]), error=str(data.get("error", "")))
+    rivals = data["rivals"]
+    return Said(
+        verdict=str(data["verdict"]),
+        named=tuple(_named(item, rivals) for item in data["missing"]),
+        final_terms=tuple(data["final"]["terms"]),
+        intervals=tuple(_interval(row) for row in data["final"]["parameters"]),
+        figures=_figures(data["improvement"]),
+        regimes=_regimes(data["location"]),
+        seconds=float(data["seconds"]),
+    )
+
+
+def _named(item: Mapping[str, Any], rivals: list[Mapping[str, Any]]) -> Named:
+    same = [r for r in rivals if r["instead_of"] == item["term"] and r.get("joint") == item.get("joint")]
+    return Named(
+        keyed(item["term"], item.get("joint")),
+        item.get("probability"),
+        tuple((keyed(r["term"], r.get("joint")), r.get("probability")) for r in same),
+    )
+
+
+def _interval(row: Mapping[str, Any]) -> Interval:
+    low, high = row["ci99"] or (None, None)
+    return Interval(
+        keyed(row["name"], row.get("joint")),
+        float("-inf") if low is None else float(low),
+        float("inf") if high is None else float(high),
+    )
+
+
+def _figures(data: Mapping[str, Any] | None) -> tuple[Figures, ...]:
+    """The outputs' figures; of an output with several metrics the first, which is the headline's."""
+    found: dict[str, Figures] = {}
+    for row in (data or {}).get("per_channel") or []:
+        channel, before, after = row["channel"], row["rmse_before"], row["rmse_after"]
+        if row.get("joint") is not None:
+            channel = f"{channel}_{row['joint']}"
+        if before is not None and after is not None:
+            found.setdefault(channel, Figures(channel, float(before), float(after)))
+    return tuple(found.values())
+
+
+def _regimes(location: Mapping[str, Any] | None) -> tuple[Regime, ...]:
+    found = (location or {}).get("regimes") or []
+    return tuple(Regime(r["coordinate"], float(r["low"]), float(r["high"])) for r in found)

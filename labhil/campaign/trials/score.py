@@ -1,0 +1,128 @@
+"""``labhil trial score``: open the envelopes, check every hash, and judge trial by trial."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from labhil.campaign.trials.answer import Answer, TrueEffect
+from labhil.campaign.trials.card import Card, count
+from labhil.campaign.trials.folder import (
+    HASHES,
+    RESULTS,
+    Listed,
+    read_hashes,
+    read_index,
+    recording,
+)
+from labhil.campaign.trials.judge import NULL_GAIN, Judged, judge
+from labhil.campaign.trials.oracle import Oracle
+from labhil.campaign.trials.regime import overlap
+from labhil.campaign.trials.said import Said, read_said
+from labhil.campaign.trials.seal import open_envelope, sha256_of
+from labhil.errors import UsageError
+from labhil.report.study import load_material
+
+Progress = Callable[[str], None]
+
+
+def score_trials(folder: Path, answers: Path, progress: Progress) -> Card:
+    """Score the results in a folder; UsageError where anything is not what was hashed, or is missing."""
+    index = read_index(folder)
+    hashes = read_hashes(folder)
+    _check_results(folder, [listed.name for listed in index.trials], hashes)
+    truths = [_open(listed, answers) for listed in index.trials]
+    for listed in index.trials:
+        _check_recordings(folder, listed)
+    judged: list[Judged] = []
+    for answer in truths:
+        said = read_said(folder / RESULTS / f"{answer.trial}.json")
+        judged.append(_judge(folder, answer, said))
+        progress(f"{len(judged)} of {len(truths)} trials scored")
+    return count(judged, index.rig, index.fixed_seed)
+
+
+def _check_results(folder: Path, names: list[str], hashes: dict[str, str]) -> None:
+    missing = [name for name in names if name not in hashes]
+    if missing:
+        raise UsageError(
+            f"{folder / HASHES}: expected results of {len(names)} trials, found {len(names) - len(missing)}: "
+            f"{', '.join(missing[:5])} to be diagnosed by `labhil trial run {folder}`"
+        )
+    for name in names:
+        path = folder / RESULTS / f"{name}.json"
+        found = sha256_of(path)
+        if found != hashes[name]:
+            raise UsageError(
+                f"{path}: not the result that was hashed: expected SHA-256 {hashes[name]}, found {found}"
+            )
+
+
+def _check_recordings(folder: Path, listed: Listed) -> None:
+    for role, expected in listed.recordings.items():
+        path = recording(folder, listed.name, role)
+        found = sha256_of(path)
+        if found != expected:
+            raise UsageError(f"{path}: not the sealed recording: expected SHA-256 {expected}, found {found}")
+
+
+def _open(listed: Listed, answers: Path) -> Answer:
+    path = answers / f"{listed.name}.json"
+    answer = Answer.from_json(open_envelope(path, listed.seal))
+    if answer.trial != listed.name or dict(answer.recordings) != dict(listed.recordings):
+        raise UsageError(
+            f"{path}: expected the answer to trial {listed.name} and its recordings, found another"
+        )
+    return answer
+
+
+def _judge(folder: Path, answer: Answer, said: Said) -> Judged:
+    oracle = Bystander(folder, answer)
+    return judge(answer, said, oracle.loss, oracle.overlap(said))
+
+
+@dataclass
+class Bystander:
+    """The oracle once more, for what only the answer given calls for; wakes when it is asked."""
+
+    folder: Path
+    answer: Answer
+
+    def loss(self, effect: TrueEffect, rival: str) -> float:
+        """Nats that a rival in the place of a true effect, refitted, loses to it on the test data.
+
+        What has no term, like ``unmodelled_force``, cannot be refitted and loses everything.
+        """
+        oracle = self.oracle
+        if rival not in oracle.model.terms:
+            return float("inf")
+        others = [name for name in self.full if name != effect.term]
+        without = oracle.refit(others)
+        new = [] if rival in others else [rival]
+        tried = oracle.refit([*others, *new], new)
+        # what is within a model can never explain less than the model; a search may miss that
+        best = min(tried, without, key=lambda found: found.cost)
+        known, instead = (oracle.log_likelihood(found.theta) for found in (without, best))
+        return effect.oracle_gain - (instead - known)
+
+    def overlap(self, said: Said) -> float | None:
+        """Agreement of reported regimes with the true one; None unless one effect makes the difference."""
+        real = [effect for effect in self.answer.effects if effect.oracle_gain >= NULL_GAIN]
+        if said.verdict != "missing_physics" or len(real) != 1 or not real[0].catalogue:
+            return None
+        others = [name for name in self.full if name != real[0].term]
+        return overlap(self.oracle, real[0].term, others, said.regimes)
+
+    @property
+    def full(self) -> list[str]:
+        """Terms of the true model, as far as there are any."""
+        return [*self.answer.baseline, *(effect.term for effect in self.answer.effects if effect.catalogue)]
+
+    @cached_property
+    def oracle(self) -> Oracle:
+        """An oracle of the trial's recordings with the true noise and values."""
+        search, test = (recording(self.folder, self.answer.trial, role) for role in ("search", "test"))
+        material = load_material(search, test_path=test)
+        return Oracle.of(material.model, material.learn, material.judge, self.answer.noise, self.answer.truth)

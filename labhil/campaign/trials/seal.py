@@ -1,0 +1,48 @@
+"""Envelopes: an answer and a nonce of 256 bits, bound by their SHA-256, which is made known beforehand."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import secrets
+from pathlib import Path
+from typing import Any
+
+from labhil.errors import UsageError
+
+NONCE_BYTES = 32
+
+
+def seal(answer: Any, nonce: bytes) -> str:
+    """SHA-256 (hex) over the nonce and the answer as JSON with sorted keys and without spaces."""
+    text = json.dumps(answer, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    return hashlib.sha256(nonce + text.encode()).hexdigest()
+
+
+def write_envelope(answer: Any, path: Path, nonce: bytes | None = None) -> str:
+    """Write the answer and its nonce (default: from the system's randomness); its seal."""
+    drawn = secrets.token_bytes(NONCE_BYTES) if nonce is None else nonce
+    text = json.dumps({"nonce": drawn.hex(), "answer": answer}, ensure_ascii=False, allow_nan=False, indent=1)
+    path.write_text(text + "\n", encoding="utf-8")
+    return seal(answer, drawn)
+
+
+def open_envelope(path: Path, expected: str) -> Any:
+    """The answer in an envelope; UsageError where there is none or its seal is not the expected one."""
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+        nonce, answer = bytes.fromhex(data["nonce"]), data["answer"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UsageError(f"{path}: expected a sealed answer (JSON with nonce and answer): {error}") from error
+    found = seal(answer, nonce)
+    if found != expected:
+        raise UsageError(f"{path}: the seal does not match: expected SHA-256 {expected}, found {found}")
+    return answer
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 (hex) of a file; UsageError where it cannot be read."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read: {error.strerror}") from error

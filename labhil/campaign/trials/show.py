@@ -1,0 +1,87 @@
+"""A score card for people."""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.table import Table
+
+from labhil.campaign.trials.card import Card
+from labhil.campaign.trials.judge import NONE, UNMODELLED
+
+
+def show(card: Card, console: Console) -> None:
+    """Print all figures; shares with two-sided 95 % Clopper-Pearson limits in per cent."""
+    drawn = "; drawn from a fixed seed: a test, no proof" if card.fixed_seed else ""
+    failed = f", {card.failures} diagnoses failed" if card.failures else ""
+    console.print(f"{card.rig}: {card.trials} trials{failed}{drawn}\n", highlight=False)
+    console.print(_confusion(card))
+    console.print(_detection(card))
+    console.print(_naming(card))
+    console.print(_reliability(card))
+    for line in lines(card):
+        console.print(line, highlight=False, soft_wrap=True)
+
+
+def lines(card: Card) -> list[str]:
+    """The figures that are one number each."""
+    after = card.after_over_floor
+    error = "–" if after is None else f"median {after[0]:.3f}, 90th percentile {after[1]:.3f}"
+    calibration = "–" if card.calibration_error is None else f"{card.calibration_error:.3f}"
+    return [
+        f"False alarms on nulls: {card.false_alarms}",
+        f"Single answers, right and alone: {card.single}",
+        f"Calibration error of stated probabilities: {calibration}",
+        f"Modelled (80 % of the excess gone): {card.modelled}",
+        f"Regime right (intersection over union at least a half): {card.overlap}",
+        f"RMSE after over the noise floor: {error}",
+        f"99 % intervals that cover, all effects in the model: {card.covered}",
+        f"99 % intervals that cover, other models: {card.covered_apart}",
+        f"Seconds for a diagnosis (median): {card.seconds:.1f}",
+    ]
+
+
+def _confusion(card: Card) -> Table:
+    table = _table("What is there (rows), what was named (columns)", "")
+    named = sorted({name for _, name in card.confusion}, key=_last)
+    for name in named:
+        table.add_column(name.replace("_", " "), justify="right")
+    for true in sorted({true for true, _ in card.confusion}, key=_last):
+        counts = [card.confusion.get((true, name), 0) for name in named]
+        table.add_row(true, *(str(c) if c else "·" for c in counts))
+    return table
+
+
+def _last(name: str) -> tuple[int, str]:
+    """Names of effects first, what is none of them last."""
+    return (name in {NONE, UNMODELLED, "unexplained_mismatch", "not_decidable", "failed"}, name)
+
+
+def _detection(card: Card) -> Table:
+    table = _table("Detection against strength of the strongest effect", "strength", "detected")
+    for name, share in card.detection.items():
+        if share.of:
+            table.add_row(name, str(share))
+    return table
+
+
+def _naming(card: Card) -> Table:
+    grades = list(next(iter(card.naming.values())))
+    table = _table("Exact answers: all effects named and nothing else", "", *grades)
+    for name, shares in card.naming.items():
+        if shares[grades[0]].of:
+            table.add_row(name, *(str(shares[grade]) for grade in grades))
+    return table
+
+
+def _reliability(card: Card) -> Table:
+    table = _table("Stated probabilities", "stated", "mean", "right")
+    for row in card.reliability:
+        table.add_row(f"{row.low:.1f} to {row.high:.1f}", f"{row.stated:.2f}", str(row.right))
+    return table
+
+
+def _table(title: str, *columns: str) -> Table:
+    table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
+    for i, column in enumerate(columns):
+        table.add_column(column, justify="right" if i else "left")
+    return table

@@ -1,0 +1,343 @@
+"""Sealed trials: what is drawn and sealed, what a run leaves, and the arithmetic of the score."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from labhil.campaign.share import Share
+from labhil.campaign.trials import run
+from labhil.campaign.trials.answer import Answer, TrueEffect
+from labhil.campaign.trials.card import count, reliabilities
+from labhil.campaign.trials.compose import compose
+from labhil.campaign.trials.folder import read_index
+from labhil.campaign.trials.judge import judge
+from labhil.campaign.trials.make import Order, answers_beside, make_trial, make_trials
+from labhil.campaign.trials.noise import TrueNoise
+from labhil.campaign.trials.regime import agreement, inside, level_set
+from labhil.campaign.trials.run import run_trials
+from labhil.campaign.trials.said import Regime, said_in
+from labhil.campaign.trials.score import score_trials
+from labhil.campaign.trials.seal import open_envelope, seal, write_envelope
+from labhil.cli import app
+from labhil.errors import UnknownNameError, UsageError
+from labhil.recording.reader import read_recording
+
+NOTHING = {
+    "schema": "labhil.diagnosis/1",
+    "verdict": "no_mismatch",
+    "missing": [],
+    "rivals": [],
+    "final": {"terms": ["viscous_friction"], "parameters": []},
+    "improvement": None,
+    "location": None,
+    "seconds": 1.0,
+}
+
+
+def silent(text):
+    return None
+
+
+def lossless(effect, rival):
+    return 0.0
+
+
+def one_item(term, probability=0.9):
+    return {"term": term, "joint": None, "probability": probability}
+
+
+def rival(term, instead_of, probability=0.1):
+    return {"term": term, "instead_of": instead_of, "joint": None, "probability": probability}
+
+
+def said(*terms, verdict="missing_physics", rivals=(), **more):
+    items = [one_item(term) for term in terms]
+    final = {"terms": ["viscous_friction", *terms], "parameters": more.pop("parameters", [])}
+    return said_in(
+        {**NOTHING, "verdict": verdict, "missing": items, "rivals": list(rivals), "final": final, **more}
+    )
+
+
+def effect(term, gain=100.0, strength=2.0, catalogue=True):
+    return TrueEffect(term, None, catalogue, {}, {}, strength, gain)
+
+
+def answer(*effects, truth=None):
+    noise = TrueNoise((1.0,), (0.0,), 0.0)
+    floors = {"ball_position": 0.001}
+    return Answer(
+        "001", "ball_beam", {}, ("viscous_friction",), effects, truth or {}, noise, floors, 1.0, {}, {}
+    )
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("trials") / "set"
+    order = Order("ball_beam", 1, "1", folder, answers_beside(folder), seed=2)
+    folder.mkdir()
+    order.answers.mkdir()
+    return order, make_trial(order, "001", (2,))
+
+
+def test_a_seed_makes_the_same_trial_again():
+    first, second = (compose("ball_beam", "0", np.random.default_rng((4, 0))) for _ in range(2))
+    assert first.secret == second.secret
+    for one, other in zip(first.walks, second.walks, strict=True):
+        assert np.array_equal(one.signals["ball_position"], other.signals["ball_position"])
+
+
+def test_an_answer_tells_what_each_effect_is_worth(made):
+    order, listed = made
+    found = Answer.from_json(open_envelope(order.answers / "001.json", listed.seal))
+    assert len(found.effects) == 1
+    assert found.effects[0].strength > 1.0
+    assert found.recordings == listed.recordings
+    assert Answer.from_json(json.loads(json.dumps(found.to_json()))) == found
+
+
+def test_a_recording_tells_nothing_of_the_secret(made):
+    order, _ = made
+    recording = read_recording(order.out / "001" / "search.mcap")
+    assert recording.rig is not None
+    assert set(recording.metadata) == {"end"}
+    assert set(recording.attachments) == {"rig.toml"}
+
+
+def test_a_changed_answer_is_refused(tmp_path):
+    path = tmp_path / "001.json"
+    stated = write_envelope({"effects": []}, path)
+    assert open_envelope(path, stated) == {"effects": []}
+    data = json.loads(path.read_text())
+    path.write_text(json.dumps({**data, "answer": {"effects": ["viscous"]}}))
+    with pytest.raises(UsageError, match="seal does not match"):
+        open_envelope(path, stated)
+
+
+def test_a_seal_hangs_on_its_nonce():
+    assert seal({"a": 1}, b"0" * 32) != seal({"a": 1}, b"1" * 32)
+    assert seal({"a": 1, "b": 2}, b"0" * 32) == seal({"b": 2, "a": 1}, b"0" * 32)
+
+
+@pytest.mark.parametrize(
+    ("changed", "error"),
+    [({"kind": "balloon"}, UnknownNameError), ({"trials": 0}, UsageError), ({"sort": "4"}, UsageError)],
+)
+def test_a_wrong_order_is_refused(tmp_path, changed, error):
+    given = {"kind": "axis", "trials": 1, "sort": "1", "out": tmp_path / "a", "answers": tmp_path / "b"}
+    with pytest.raises(error):
+        make_trials(Order(**{**given, **changed}), 1, silent)
+
+
+def test_answers_within_reach_of_a_diagnosis_are_refused(tmp_path):
+    with pytest.raises(UsageError, match="outside"):
+        make_trials(Order("axis", 1, "1", tmp_path / "a", tmp_path / "a" / "answers"), 1, silent)
+
+
+@pytest.fixture
+def listed_set(tmp_path):
+    """A set of two trials whose recordings nobody reads, with their answers."""
+    folder, answers = tmp_path / "set", tmp_path / "set-answers"
+    answers.mkdir()
+    trials = []
+    for name in ("001", "002"):
+        (folder / name).mkdir(parents=True)
+        sealed = write_envelope({**answer().to_json(), "trial": name}, answers / f"{name}.json")
+        trials.append({"name": name, "seal": sealed, "recordings": {}})
+    index = {"schema": "labhil.trials/1", "rig": "ball_beam", "fixed_seed": True, "trials": trials}
+    (folder / "trials.json").write_text(json.dumps(index))
+    return folder, answers
+
+
+@pytest.fixture
+def here(monkeypatch):
+    """Diagnoses in this process, by a stand-in that counts what it was asked."""
+    asked = []
+
+    def diagnose_all(folder, names, hashes, jobs, progress):
+        for name in names:
+            asked.append(name)
+            path = folder / "results" / f"{name}.json"
+            path.write_text(json.dumps(NOTHING))
+            hashes[name] = run.sha256_of(path)
+            run.write_hashes(folder, hashes)
+
+    monkeypatch.setattr(run, "_diagnose_all", diagnose_all)
+    return asked
+
+
+def test_a_run_goes_on_where_it_was_interrupted(listed_set, here):
+    folder, answers = listed_set
+    first = run_trials(folder, 1, silent)
+    assert here == ["001", "002"]
+    lines = (folder / "results.sha256").read_text().splitlines()
+    (folder / "results.sha256").write_text(lines[0] + "\n")
+    assert run_trials(folder, 1, silent) == first
+    assert here == ["001", "002", "002"]
+    assert score_trials(folder, answers, silent).false_alarms == Share(0, 2)
+
+
+def test_a_changed_result_is_refused(listed_set, here):
+    folder, answers = listed_set
+    run_trials(folder, 1, silent)
+    (folder / "results" / "001.json").write_text(json.dumps({**NOTHING, "verdict": "missing_physics"}))
+    with pytest.raises(UsageError, match="not the result that was hashed"):
+        score_trials(folder, answers, silent)
+    with pytest.raises(UsageError, match="is not the result"):
+        run_trials(folder, 1, silent)
+
+
+def test_a_set_that_is_not_all_diagnosed_is_not_scored(listed_set):
+    with pytest.raises(UsageError, match="expected results of 2 trials, found 0"):
+        score_trials(*listed_set, silent)
+
+
+def test_a_failing_diagnosis_is_recorded(tmp_path):
+    result = run.diagnose_trial(tmp_path, "001")
+    assert result["verdict"] is None
+    assert "RecordingError" in result["error"]
+    assert said_in(result).verdict is None
+
+
+def test_a_diagnosis_opens_no_envelope(tmp_path):
+    path = tmp_path / "001.json"
+    with pytest.raises(PermissionError, match="opens no envelopes"):
+        run._refuse_envelopes("open", (str(path), "r", 0))
+    run._refuse_envelopes("open", (str(tmp_path / "search.mcap"), "r", 0))
+
+
+def test_one_effect_named_alone_is_an_exact_and_single_answer():
+    j = judge(answer(effect("dead_zone")), said("dead_zone"), lossless)
+    assert j.exact
+    assert j.single
+    assert j.confused == (("dead_zone", "dead_zone"),)
+    assert j.claims == ((0.9, True),)
+
+
+def test_a_pair_is_honest_only_while_its_rival_explains_the_data():
+    pair = said("time_delay", rivals=[rival("dead_zone", "time_delay")])
+    truth = answer(effect("dead_zone"))
+    near, far = judge(truth, pair, lossless), judge(truth, pair, lambda effect, rival: 5.0)
+    assert near.exact
+    assert not near.single
+    assert not far.exact
+    assert near.claims == ((0.9, False), (0.1, True))
+
+
+def test_two_effects_need_both_names_and_nothing_else():
+    truth = answer(effect("dead_zone"), effect("time_delay"))
+    assert judge(truth, said("time_delay", "dead_zone"), lossless).exact
+    assert not judge(truth, said("time_delay"), lossless).exact
+    three = judge(truth, said("time_delay", "dead_zone", "backlash"), lossless)
+    assert not three.exact
+    assert ("none", "backlash") in three.confused
+
+
+def test_a_small_effect_may_be_named_or_not():
+    truth = answer(effect("dead_zone"), effect("time_delay", gain=5.0))
+    assert judge(truth, said("dead_zone"), lossless).exact
+    assert judge(truth, said("dead_zone", "time_delay"), lossless).exact
+    tiny = answer(effect("dead_zone"), effect("time_delay", gain=1.0))
+    assert not judge(tiny, said("dead_zone", "time_delay"), lossless).exact
+
+
+def test_a_null_is_what_the_oracle_does_not_tell_either():
+    null = answer(effect("dead_zone", gain=2.9))
+    judged = [
+        judge(null, said("dead_zone"), lossless),
+        judge(null, said(verdict="no_mismatch"), lossless),
+        judge(null, said(verdict="not_decidable"), lossless),
+    ]
+    card = count(judged, "ball_beam", False)
+    assert card.false_alarms == Share(2, 3)
+    assert card.single.of == 0
+
+
+def test_between_three_and_ten_nats_only_detection_counts():
+    j = judge(answer(effect("dead_zone", gain=6.0, strength=1.2)), said(verdict="not_decidable"), lossless)
+    card = count([j], "ball_beam", False)
+    assert card.false_alarms.of == 0
+    assert card.naming["one effect"]["any"].of == 0
+    assert card.detection["1.1 to 1.3"] == Share(0, 1)
+    assert card.confusion == {}
+
+
+def test_what_no_name_fits_is_right_as_unmodelled():
+    truth = answer(effect("hidden_magnet", catalogue=False))
+    assert judge(truth, said("unmodelled_force"), lossless).exact
+    assert judge(truth, said(verdict="unexplained_mismatch"), lossless).exact
+    wrong = judge(truth, said("spring_force"), lossless)
+    assert wrong.confused == (("outside the catalogue", "spring_force"),)
+    assert not wrong.exact
+
+
+def test_a_failure_counts_as_nothing_found():
+    failed = said_in({"verdict": None, "error": "KeyError", "seconds": 1.0})
+    card = count([judge(answer(effect("dead_zone")), failed, lossless)], "ball_beam", False)
+    assert card.failures == 1
+    assert card.naming["one effect"]["any"] == Share(0, 1)
+    assert card.confusion == {("dead_zone", "failed"): 1}
+
+
+def test_errors_are_measured_against_the_true_floor():
+    channel = {"channel": "ball_position", "joint": None, "rmse_before": 0.003, "rmse_after": 0.0011}
+    told = said("dead_zone", improvement={"per_channel": [channel]})
+    j = judge(answer(effect("dead_zone")), told, lossless)
+    assert j.after_over_floor == pytest.approx(1.1)
+    assert j.modelled
+    worse = said("dead_zone", improvement={"per_channel": [{**channel, "rmse_after": 0.002}]})
+    assert judge(answer(effect("dead_zone")), worse, lossless).modelled is False
+
+
+def test_intervals_count_where_the_model_is_complete():
+    row = {"name": "viscous_friction.coefficient", "joint": None, "ci99": [0.1, 0.3]}
+    truth = {"viscous_friction.coefficient": 0.2}
+    full = judge(answer(effect("dead_zone"), truth=truth), said("dead_zone", parameters=[row]), lossless)
+    short = judge(answer(effect("backlash"), truth=truth), said("dead_zone", parameters=[row]), lossless)
+    card = count([full, short], "ball_beam", False)
+    assert (card.covered, card.covered_apart) == (Share(1, 1), Share(1, 1))
+
+
+def test_a_regime_is_the_smallest_set_that_holds_four_fifths_of_the_excess():
+    own, excess = np.array([0.0, 1.0, 5.0, 4.0, 3.0]), np.array([0.1, 0.1, 4.0, 4.0, 1.0])
+    true = level_set(own, excess)
+    assert true is not None
+    assert true.tolist() == [False, False, True, True, False]
+    told = inside({"v": np.arange(5.0)}, [Regime("v", 2.0, 2.5)])
+    assert agreement(true, told) == pytest.approx(0.5)
+    assert level_set(own, np.ones(5)) is None
+
+
+def test_reliability_is_counted_in_tenths():
+    claims = [(0.95, True)] * 9 + [(0.95, False), (1.0, True)]
+    (row,) = reliabilities(claims)
+    assert row.right == Share(10, 11)
+    card = count([judge(answer(effect("backlash")), said("dead_zone"), lossless)], "ball_beam", False)
+    assert card.calibration_error == pytest.approx(0.9)
+    assert json.dumps(card.to_json(), allow_nan=False)
+
+
+def test_the_commands_explain_themselves(tmp_path):
+    for name in ("make", "run", "score"):
+        shown = CliRunner().invoke(app, ["trial", name, "--help"])
+        assert shown.exit_code == 0
+        assert "Example: labhil trial" in shown.output
+    missing = CliRunner().invoke(app, ["trial", "run", str(tmp_path)])
+    assert isinstance(missing.exception, UsageError)
+
+
+def test_a_set_made_by_the_command_says_that_its_seed_is_fixed(tmp_path):
+    out = tmp_path / "set"
+    order = ["trial", "make", "--rig", "ball_beam", "--trials", "1", "--effects", "0", "-o", str(out)]
+    done = CliRunner().invoke(app, [*order, "--seed", "2", "--jobs", "1"])
+    assert done.exit_code == 0, done.output
+    assert "fixed seed" in done.output
+    index = read_index(out)
+    assert index.fixed_seed
+    assert (
+        Answer.from_json(open_envelope(tmp_path / "set-answers" / "001.json", index.trials[0].seal)).effects
+        == ()
+    )
