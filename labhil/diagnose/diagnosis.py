@@ -16,6 +16,7 @@ from labhil.diagnose.intake import Fault, usable
 from labhil.diagnose.intake import faults as faults_of
 from labhil.diagnose.search import Data, Found, Rival, Step, search
 from labhil.identify.fitted import Fitted, climb, start_theta
+from labhil.identify.noise import lasting_noise
 from labhil.identify.score import Score, score
 from labhil.identify.statistics import Estimate
 from labhil.identify.table import table_of
@@ -27,6 +28,8 @@ SEARCH_WINDOW_IN_HORIZONS = 0.375
 FIRST_WINDOW_IN_HORIZONS = 0.1875
 FALSE_ALARM = 5e-4
 UNEXPLAINED = 1.5
+LASTS = 1.1
+"""Factor by which noise on short windows must exceed that of single samples to count."""
 
 
 def diagnose(
@@ -54,6 +57,7 @@ def diagnose(
     progress(f"fitting the baseline: {', '.join(baseline)}")
     terms = [term.key for term in terms_named(model, baseline)]
     base = _fit_baseline(data, terms)
+    data, base = _with_lasting_noise(data, base)
     whole = searched if measured is None else measured
     faults = faults_of(whole, noise_of(whole))
     if not usable(whole, faults).fit:
@@ -69,10 +73,11 @@ def diagnose(
         found = _simpler(found, search(held, _fit_baseline(held, terms), progress))
     progress("scores, intervals and exclusion limits")
     base = found.baseline
-    # the same windows before and after
+    # the same windows and the same noise before and after
     horizon = model.horizon_at(found.final.theta)
-    before = score(model, base.theta, held_out, data.test_sigma, horizon)
-    after = score(model, found.final.theta, held_out, data.test_sigma, horizon) if found.missing else before
+    noise = lasting_noise(model, found.final.theta, held_out, noise_of(held_out))
+    before = score(model, base.theta, held_out, noise, horizon)
+    after = score(model, found.final.theta, held_out, noise, horizon) if found.missing else before
     final = table_of(found.final).rows
     changed = _changes(model, base, found, reference)
     return Diagnosis(
@@ -105,6 +110,16 @@ def _fit_baseline(data: Data, terms: Sequence[str]) -> Fitted:
     lengths = [FIRST_WINDOW_IN_HORIZONS * data.model.horizon, data.window]
     model, record, sigma, begin = data.model, data.search, data.sigma, data.begin
     return climb(model, record, terms, lengths, sigma, start=begin, fresh=terms, held=data.held)[-1]
+
+
+def _with_lasting_noise(data: Data, base: Fitted) -> tuple[Data, Fitted]:
+    """The data with noise as the baseline leaves it on short windows, and the baseline in units of that."""
+    seen = lasting_noise(data.model, base.theta, data.search, data.sigma)
+    tested = lasting_noise(data.model, base.theta, data.test, data.test_sigma)
+    if np.all(seen < LASTS * data.sigma):
+        return replace(data, test_sigma=tested), base
+    data = replace(data, sigma=seen, test_sigma=tested)
+    return data, _fit_baseline(replace(data, begin=base.theta), base.terms)
 
 
 def _sizes(model: Model, reference: Mapping[str, float]) -> frozenset[str]:

@@ -14,9 +14,10 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
+from scipy import stats
 
 from labhil.diagnose.evidence import Evidence, bic, effective_samples, heldout_gain, search_p_value
-from labhil.identify.fitted import Fitted, climb, fit_terms
+from labhil.identify.fitted import WORST_GROWTH, Fitted, climb, fit_terms
 from labhil.identify.problem import Linearised, Point, Problem
 from labhil.identify.score import Score, score
 from labhil.physics.model import Model, Record, index_of, starts_of, terms_named
@@ -27,8 +28,8 @@ Progress = Callable[[str], None]
 SETTLED = 1.05
 """A fit whose residuals are at most this much above the noise has found what it could."""
 
-LONGER = 2.0
-"""The last fit is on windows that are this much longer than those of the search: they know more."""
+LONGER = (2.0, 4.0)
+"""The last fits are on windows that are this much longer than those of the search: they know more."""
 
 COST = 2e-3
 """Share of the residuals that each parameter has to promise."""
@@ -41,6 +42,9 @@ CONFIRMED_PAIRS = 3
 
 NEEDED_BIC = -10.0
 """Very strong evidence on the search data, in the usual reading of BIC."""
+
+ALLOWANCE = 0.5
+"""Share of the evidence needed that a projection has to promise where only promising terms are refitted."""
 
 STILL_NOISY = 1.15
 """Residuals this much above the noise say that something is still missing."""
@@ -60,11 +64,17 @@ HOPEFUL = 0.5
 RIVAL_BIC = 10.0
 """A rival within this stays on the list: it is under five nats behind."""
 
-ALPHA = 0.01
-"""One-sided level of the held-out test that every step has to pass, on top of the search data."""
+ALPHA = 0.1
+"""One-sided level of the held-out test that every step has to pass by itself."""
 
-JUDGED_SHARE, JUDGED_WINDOWS = 0.5, 10
-"""Judged windows are this share of the scored horizon, or shorter: so many that they can be counted."""
+TRUSTED = 1e-6
+"""The search data's p value is trusted down to this: noise is never quite what it is taken for."""
+
+TOGETHER = 5e-4
+"""Level of both tests together (Fisher's method)."""
+
+JUDGED_LENGTH, JUDGED_WINDOWS = 4.0 / 3.0, 10
+"""Judged windows are this much longer than those of the search, or so short that they can be counted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +114,7 @@ class Data:
     def judge(self, theta: FloatArray) -> Score:
         """Score on held-out windows short enough to be counted."""
         duration = float(self.test.t[-1] - self.test.t[0])
-        length = min(JUDGED_SHARE * self.model.horizon, duration / JUDGED_WINDOWS)
+        length = min(JUDGED_LENGTH * self.window, duration / JUDGED_WINDOWS)
         return score(self.model, theta, self.test, self.test_sigma, length)
 
 
@@ -120,47 +130,130 @@ class Found:
     looks: int
 
 
-def search(data: Data, baseline: Fitted, progress: Progress) -> Found:
-    """Look for missing terms, beginning at a fitted baseline."""
-    current, looks = baseline, len(candidates(data.model, baseline.terms))
-    p_values: list[float] = []
-    base = set(baseline.terms)
+@dataclass(slots=True)
+class Trail:
+    """Where a search stands: the best model so far, p values of its steps, rivals of its terms."""
+
+    current: Fitted
+    p_values: list[float]
     rivals: tuple[Rival, ...] = ()
+
+
+def search(data: Data, baseline: Fitted, progress: Progress) -> Found:
+    """Look for missing terms, beginning at a fitted baseline: on short windows, then on longer ones.
+
+    Short ones lead to the neighbourhood whatever is missing; what acts slowly shows on longer ones only.
+    """
+    looks = len(candidates(data.model, baseline.terms))
+    trail = Trail(baseline, [])
     with ThreadPoolExecutor(os.cpu_count()) as executor:
-        while True:
-            ranked, pairs = _ranked(data, current, executor, progress)
-            first = ranked[:CONFIRMED] + (pairs[:CONFIRMED_PAIRS] if current.noise > STILL_NOISY else [])
-            accepted, trials = _forward(data, current, first, looks, executor, progress)
-            if trials:
-                effective = effective_samples(trials[0])
-                p_values.append(search_p_value(current, trials[0], effective, looks))
-            if accepted is None:
-                swapped, rivals = _swap(data, current, base, executor, progress)
-                if swapped is not current:
-                    current = swapped
-                    continue
-            if accepted is None and current.noise > STILL_NOISY:
-                accepted, _ = _forward(data, current, ranked[CONFIRMED:], looks, executor, progress)
-            if accepted is None:
-                break
-            accepted = _refit(data, accepted, accepted.terms, (), thorough=True)
-            current = _prune(data, accepted, base, progress)
-            progress(f"found {', '.join(t for t in current.terms if t not in base)}")
-    progress("refitting on longer windows")
-    longer = data
-    if data.model.state_names:
-        longer = replace(data, window=LONGER * data.window)
-        current = _prune(longer, lengthen(longer, current), base, progress)
-        baseline = lengthen(longer, baseline)
-    current, kept = _supported_only(longer, baseline, current, looks)
-    rivals = tuple(r for r in rivals if r.instead_of in current.terms)
+        hunt = Hunt(data, frozenset(baseline.terms), looks, executor, progress)
+        hunt.follow(trail)
+        if data.model.state_names:
+            progress("refitting on longer windows")
+            data = hunt.follow_on_longer_windows(trail)
+            trail.current = hunt.pruned(data, trail.current)
+            baseline = _onward(data, baseline)
+    current, kept = _supported_only(data, baseline, trail.current, looks)
+    rivals = tuple(r for r in trail.rivals if r.instead_of in current.terms)
     # of the first step when something was found, else of the last, which found nothing to add
-    p_value = p_values[0 if kept else -1] if p_values else 1.0
+    p_value = trail.p_values[0 if kept else -1] if trail.p_values else 1.0
     return Found(baseline, current, kept, rivals, p_value, looks)
 
 
-def lengthen(data: Data, fitted: Fitted) -> Fitted:
-    """Refit on the data's windows what was fitted on shorter ones.
+@dataclass(frozen=True, slots=True)
+class Hunt:
+    """What all steps of a search share; ``base`` are the baseline's terms, which are never taken out."""
+
+    data: Data
+    base: frozenset[str]
+    looks: int
+    executor: Executor
+    progress: Progress
+
+    def follow(self, trail: Trail, *, only_promising: bool = False) -> None:
+        """Add, swap and remove terms until nothing is left to do.
+
+        ``only_promising`` candidates are those of which the projection promises strong evidence.
+        """
+        while True:
+            ranked, pairs = _ranked(self.data, trail.current, self.executor, self.progress)
+            if only_promising:
+                ranked, pairs = ([c for c in found if c.promising] for found in (ranked, pairs))
+            accepted = self._added(trail, ranked, pairs)
+            if accepted is None:
+                swapped, trail.rivals = _swap(self.data, trail, self.base, self.executor, self.progress)
+                if swapped is not trail.current:
+                    trail.current = swapped
+                    continue
+            if accepted is None and trail.current.noise > STILL_NOISY:
+                rest = [candidate.group for candidate in ranked[CONFIRMED:]]
+                accepted, _ = self._forward(trail.current, rest)
+            if accepted is None:
+                return
+            accepted = _refit(self.data, accepted, accepted.terms, (), thorough=True)
+            trail.current = self.pruned(self.data, accepted)
+            self.progress(f"found {', '.join(t for t in trail.current.terms if t not in self.base)}")
+
+    def follow_on_longer_windows(self, trail: Trail) -> Data:
+        """Go on from there on the longest windows; the data with those that the answer stands on."""
+        short = trail.current
+        longest = replace(self.data, window=self._reach(LONGER[-1]))
+        trail.current = _onward(longest, short)
+        replace(self, data=longest).follow(trail, only_promising=True)
+        if trail.current.terms != short.terms or trail.current.noise <= WORST_GROWTH * short.noise:
+            return longest
+        # noise that drives the plant itself biases what long windows say
+        middle = replace(self.data, window=self._reach(LONGER[0]))
+        trail.current = _onward(middle, short)
+        if trail.current.noise <= WORST_GROWTH * short.noise:
+            return middle
+        trail.current = short
+        return self.data
+
+    def pruned(self, data: Data, current: Fitted) -> Fitted:
+        """Without the found terms that these data no longer need."""
+        return _prune(data, current, self.base, self.progress)
+
+    def _reach(self, share: float) -> float:
+        return min(share * self.data.window, float(self.data.search.t[-1] - self.data.search.t[0]))
+
+    def _added(self, trail: Trail, ranked: Sequence[Candidate], pairs: Sequence[Candidate]) -> Fitted | None:
+        """The best supported addition of those that promise most."""
+        first = [*ranked[:CONFIRMED], *(pairs[:CONFIRMED_PAIRS] if trail.current.noise > STILL_NOISY else [])]
+        accepted, trials = self._forward(trail.current, [candidate.group for candidate in first])
+        if trials:
+            effective = effective_samples(trials[0])
+            trail.p_values.append(search_p_value(trail.current, trials[0], effective, self.looks))
+        return accepted
+
+    def _forward(
+        self, current: Fitted, groups: Sequence[tuple[str, ...]]
+    ) -> tuple[Fitted | None, list[Fitted]]:
+        """The best supported addition, or None, and all that was refitted, best first."""
+        if not groups:
+            return None, []
+        self.progress(f"refitting {', '.join(' + '.join(group) for group in groups)}")
+        trials = confirm(self.data, current, groups, self.executor)
+        if current.noise > STILL_NOISY:
+            trials = _finish_best(self.data, trials, self.executor)
+        return _first_accepted(self.data, current, trials, self.looks), trials
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A group of terms with the share of the squared residuals that it promises to explain.
+
+    ``promising`` says that this would be strong evidence, with some allowance for what a projection misses.
+    """
+
+    group: tuple[str, ...]
+    share: float
+    promising: bool
+
+
+def _onward(data: Data, fitted: Fitted) -> Fitted:
+    """Refit on the data's windows.
 
     Where that leaves more than noise, the same terms begin anew, from their own starts: a search adds
     terms one by one, and its way may have ended in a local minimum.
@@ -177,7 +270,7 @@ def lengthen(data: Data, fitted: Fitted) -> Fitted:
 
 def _ranked(
     data: Data, current: Fitted, executor: Executor, progress: Progress
-) -> tuple[list[tuple[str, ...]], list[tuple[str, ...]]]:
+) -> tuple[list[Candidate], list[Candidate]]:
     """Absent terms, and pairs of them, those that promise most first.
 
     Pairs count from the start: one effect that hides another (a constant force under dry friction)
@@ -187,31 +280,14 @@ def _ranked(
     progress(f"screening {len(groups)} candidates and their pairs beside {', '.join(current.terms)}")
     screen = Screen.of(data, current)
     columns = list(executor.map(screen.columns_of, groups))
-    single = [screen.promise([own], group) for own, group in zip(columns, groups, strict=True)]
+    single = [screen.candidate([own], group) for own, group in zip(columns, groups, strict=True)]
     pairs = [
-        (screen.promise([columns[i], columns[j]], joined), joined)
+        screen.candidate([columns[i], columns[j]], joined)
         for i, j in combinations(range(len(groups)), 2)
         for joined in [tuple(dict.fromkeys((*groups[i], *groups[j])))]
         if not set(groups[i]) & set(groups[j])
     ]
-    pairs.sort(key=lambda pair: -pair[0])
-    return [groups[i] for i in np.argsort(single)[::-1]], [group for _, group in pairs]
-
-
-def _forward(
-    data: Data,
-    current: Fitted,
-    groups: Sequence[tuple[str, ...]],
-    looks: int,
-    executor: Executor,
-    progress: Progress,
-) -> tuple[Fitted | None, list[Fitted]]:
-    """The best supported addition, or None, and all that was refitted, best first."""
-    progress(f"refitting {', '.join(' + '.join(group) for group in groups)}")
-    trials = confirm(data, current, groups, executor)
-    if current.noise > STILL_NOISY:
-        trials = _finish_best(data, trials, executor)
-    return _first_accepted(data, current, trials, looks), trials
+    return sorted(single, key=lambda c: -c.share), sorted(pairs, key=lambda c: -c.share)
 
 
 def candidates(model: Model, present: Sequence[str]) -> list[tuple[str, ...]]:
@@ -284,6 +360,15 @@ class Screen:
             if explained > most:
                 best, most = new, explained
         return best
+
+    def candidate(self, columns: Sequence[FloatArray], group: tuple[str, ...]) -> Candidate:
+        """What these columns of a group promise."""
+        share = self.promise(columns, group)
+        added = sum(len(self.data.model.terms[name].parameters) for name in group)
+        explained = min(max(share + COST * added, 0.0), 1.0 - 1e-9)
+        effective = effective_samples(self.current)
+        gain = effective * np.log(1.0 - explained) + added * np.log(effective)
+        return Candidate(group, share, bool(gain < ALLOWANCE * NEEDED_BIC))
 
     def promise(self, columns: Sequence[FloatArray], group: Sequence[str]) -> float:
         """Share of the squared residuals that these columns explain; more parameters must promise more."""
@@ -365,7 +450,7 @@ def _first_accepted(data: Data, current: Fitted, trials: Sequence[Fitted], looks
     """The best trial that both search and held-out data support."""
     before = data.judge(current.theta)
     for trial in trials[:3]:
-        if supported(compare(data, current, trial, before, looks)[0]):
+        if supported(*compare(data, current, trial, before, looks)):
             return trial
     return None
 
@@ -380,16 +465,19 @@ def compare(
     return Evidence(delta, p_value, gain), search_p_value(before, after, effective, looks)
 
 
-def supported(evidence: Evidence) -> bool:
-    """Both kinds of data must speak for a step."""
-    return evidence.delta_bic < NEEDED_BIC and evidence.heldout_loglik_gain > 0 and evidence.p_value < ALPHA
+def supported(evidence: Evidence, p_search: float) -> bool:
+    """Both kinds of data must speak for a step, each by itself and both together."""
+    if evidence.delta_bic >= NEEDED_BIC or evidence.heldout_loglik_gain <= 0 or evidence.p_value >= ALPHA:
+        return False
+    both = -2.0 * (np.log(max(p_search, TRUSTED)) + np.log(max(evidence.p_value, 1e-300)))
+    return bool(stats.chi2.sf(both, 4) < TOGETHER)
 
 
 def _swap(
-    data: Data, current: Fitted, base: set[str], executor: Executor, progress: Progress
+    data: Data, trail: Trail, base: frozenset[str], executor: Executor, progress: Progress
 ) -> tuple[Fitted, tuple[Rival, ...]]:
     """Try the best-screened rivals in the place of each found term; keep what is better."""
-    rivals: list[Rival] = []
+    current, rivals = trail.current, list[Rival]()
     for term in [t for t in current.terms if t not in base]:
         reduced = _refit(
             data,
@@ -421,7 +509,7 @@ def _swap(
     return current, tuple(r for r in rivals if r.delta_bic < RIVAL_BIC)
 
 
-def _prune(data: Data, current: Fitted, base: set[str], progress: Progress) -> Fitted:
+def _prune(data: Data, current: Fitted, base: frozenset[str], progress: Progress) -> Fitted:
     """Remove found terms that the search data no longer need."""
     # what builds on others goes first, so that these can go after it
     found = [t for t in current.terms if t not in base]
@@ -450,7 +538,7 @@ def _supported_only(
     """Take out, weakest first, whatever search and held-out data do not both support in the last fit."""
     while True:
         steps = _steps_of(data, baseline, final, looks)
-        weak = [step for step in steps if not supported(step.evidence)]
+        weak = [step for step in steps if not supported(step.evidence, step.p_search)]
         if not weak:
             return final, steps
         final = _refit(data, final, without(data.model, final.terms, weak[-1].terms[0]), (), thorough=True)
