@@ -16,7 +16,7 @@ from itertools import combinations
 import numpy as np
 from scipy import stats
 
-from labhil.diagnose.evidence import Evidence, bic, effective_samples, heldout_gain, search_p_value
+from labhil.diagnose.evidence import Evidence, best_heldout_gain, bic, effective_samples, search_p_value
 from labhil.identify.fitted import WORST_GROWTH, Fitted, climb, fit_terms
 from labhil.identify.problem import Linearised, Point, Problem
 from labhil.identify.score import Score, score
@@ -63,6 +63,9 @@ HOPEFUL = 0.5
 
 RIVAL_BIC = 10.0
 """A rival within this stays on the list: it is under five nats behind."""
+
+JUDGED_SHARES = (1.0, 0.25)
+"""What acts slowly shows on long windows, what acts fast and often on many short ones."""
 
 ALPHA = 0.1
 """One-sided level of the held-out test that every step has to pass by itself."""
@@ -111,11 +114,12 @@ class Data:
     begin: FloatArray
     held: frozenset[str] = frozenset()
 
-    def judge(self, theta: FloatArray) -> Score:
-        """Score on held-out windows short enough to be counted."""
+    def judge(self, theta: FloatArray) -> tuple[Score, ...]:
+        """Scores on held-out windows short enough to be counted: on long ones, and on short ones."""
         duration = float(self.test.t[-1] - self.test.t[0])
         length = min(JUDGED_LENGTH * self.window, duration / JUDGED_WINDOWS)
-        return score(self.model, theta, self.test, self.test_sigma, length)
+        shares = JUDGED_SHARES if self.model.state_names else (1.0,)
+        return tuple(score(self.model, theta, self.test, self.test_sigma, share * length) for share in shares)
 
 
 @dataclass(frozen=True, slots=True)
@@ -456,11 +460,11 @@ def _first_accepted(data: Data, current: Fitted, trials: Sequence[Fitted], looks
 
 
 def compare(
-    data: Data, before: Fitted, after: Fitted, score_before: Score, looks: int
+    data: Data, before: Fitted, after: Fitted, scores_before: Sequence[Score], looks: int
 ) -> tuple[Evidence, float]:
     """Evidence for ``after`` over ``before``, and the search data's corrected p value."""
     effective = effective_samples(after)
-    gain, p_value = heldout_gain(score_before, data.judge(after.theta))
+    gain, p_value = best_heldout_gain(scores_before, data.judge(after.theta))
     delta = bic(after, effective) - bic(before, effective)
     return Evidence(delta, p_value, gain), search_p_value(before, after, effective, looks)
 
@@ -545,9 +549,16 @@ def _supported_only(
 
 
 def _steps_of(data: Data, baseline: Fitted, final: Fitted, looks: int) -> tuple[Step, ...]:
-    """Evidence for each term of the final model: what is lost when it alone is taken out."""
+    """Evidence for each term of the final model: what is lost when it alone is taken out.
+
+    A term that only carries others, its own sizes at zero, is none that was found.
+    """
     kept = []
+    places = index_of(data.model.parameters)
     for term in [t for t in final.terms if t not in baseline.terms]:
+        sizes = [p.key for p in data.model.terms[term].parameters if not p.shape]
+        if all(final.theta[places[key]] == 0.0 for key in sizes):
+            continue
         less = without(data.model, final.terms, term)
         reduced = _refit(data, final, less, (), hopeless=HOPELESS * final.solution.cost)
         evidence, p_search = compare(data, reduced, final, data.judge(reduced.theta), looks)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from labhil.kinds import JOINTS
 from labhil.physics.model import Record
 from labhil.physics.rigs import model_for
 from labhil.plants.arm import ArmPlant
-from labhil.plants.arm.effects import BARE_ARM, EFFECTS
+from labhil.plants.arm.effects import BARE_ARM, EFFECTS, Given
 from labhil.rig import parse_rig
 from labhil.signals import FloatArray
 
@@ -48,10 +48,10 @@ TRUTH = _truth()
 def arm(seed: int, coloured: bool) -> Simulated:
     """Twenty seconds of a Fourier trajectory at 125 Hz, noise on the currents, and another to test on."""
     random = np.random.default_rng([seed, coloured])
-    clean, test = (_clean(2 * seed + i) for i in (0, 1))
-    added = [_noise(len(each.t), coloured, random) for each in (clean, test)]
+    clean, test = (follow(TERMS, SILENT, 2 * seed + i) for i in (0, 1))
+    added = [noise(len(each.t), coloured, random) for each in (clean, test)]
     noisy, tested = (
-        replace(each, outputs=each.outputs + noise) for each, noise in zip((clean, test), added, strict=True)
+        replace(each, outputs=each.outputs + own) for each, own in zip((clean, test), added, strict=True)
     )
     # a model of an arm filters its records: what is left of the noise there is what bounds errors
     model = model_for(parse_rig(RIG, Path("ur5.toml")), noisy)
@@ -59,8 +59,9 @@ def arm(seed: int, coloured: bool) -> Simulated:
     return Simulated(noisy, tested, np.asarray(left.std(axis=0)))
 
 
-def _clean(seed: int) -> Record:
-    plant = ArmPlant(SILENT, TERMS, seed, PERIOD)
+def follow(terms: Sequence[str], values: Given, seed: int) -> Record:
+    """What an arm of these effects and values reports of a Fourier trajectory of its own."""
+    plant = ArmPlant(values, terms, seed, PERIOD)
     series = fourier(
         tuple(CENTRE - REACH), tuple(CENTRE + REACH), SPEED, ACCELERATION, 0.05, DURATION,
         harmonics=7, centre=tuple(CENTRE), seed=seed,
@@ -79,5 +80,6 @@ def _clean(seed: int) -> Record:
     )
 
 
-def _noise(n: int, coloured: bool, random: np.random.Generator) -> FloatArray:
+def noise(n: int, coloured: bool, random: np.random.Generator) -> FloatArray:
+    """Noise of the six currents (n, 6) A."""
     return np.column_stack([noise_like(n, float(sigma), coloured, random) for sigma in NOISE])
