@@ -29,11 +29,21 @@ def diagnosis_figure(diagnosis: Diagnosis, held_out: Record) -> Figure:
     """The four panels as a figure; ``held_out`` is the record that the scores come from."""
     figure = figure_of((11.0, 8.0))
     axes = figure.subplots(2, 2)
-    _draw_windows(axes[0, 0], diagnosis, held_out)
-    _draw_errors(axes[0, 1], diagnosis, held_out)
+    j = _located(diagnosis)
+    _draw_windows(axes[0, 0], diagnosis, held_out, j)
+    _draw_errors(axes[0, 1], diagnosis, held_out, j)
     _draw_missing(axes[1, 0], diagnosis)
-    _draw_histogram(axes[1, 1], diagnosis)
+    _draw_histogram(axes[1, 1], diagnosis, j)
     return figure
+
+
+def _located(diagnosis: Diagnosis) -> int:
+    """Place of the output that is off by most; the first where nothing is located."""
+    where = diagnosis.location
+    if where is None:
+        return 0
+    channels = [(channel.channel, channel.joint) for channel in diagnosis.after.channels]
+    return channels.index((where.channel, where.joint))
 
 
 def broken(score: Score, values: FloatArray) -> FloatArray:
@@ -50,7 +60,7 @@ def channel_figure(diagnosis: Diagnosis, held_out: Record, j: int) -> Figure:
     return figure
 
 
-def _draw_windows(axes: Axes, diagnosis: Diagnosis, record: Record, j: int = 0) -> None:
+def _draw_windows(axes: Axes, diagnosis: Diagnosis, record: Record, j: int) -> None:
     rows = diagnosis.after.rows
     t, measured = record.t[rows], record.outputs[rows, j]
     channel = diagnosis.after.channels[j]
@@ -61,7 +71,7 @@ def _draw_windows(axes: Axes, diagnosis: Diagnosis, record: Record, j: int = 0) 
     finish(axes, "Simulated windows on data the search never saw", "t, s", f"{name}, {channel.unit}")
 
 
-def _draw_errors(axes: Axes, diagnosis: Diagnosis, record: Record, j: int = 0) -> None:
+def _draw_errors(axes: Axes, diagnosis: Diagnosis, record: Record, j: int) -> None:
     channel = diagnosis.after.channels[j]
     for score, colour, label in _both(diagnosis, j):
         axes.plot(record.t[score.rows], broken(score, score.errors[:, j]), color=colour, lw=1.0, label=label)
@@ -91,17 +101,17 @@ def _draw_missing(axes: Axes, diagnosis: Diagnosis) -> None:
     finish(axes, "What the baseline leaves out", f"{name}, {units[name]}", "missing effect, where it acts")
 
 
-def _draw_histogram(axes: Axes, diagnosis: Diagnosis) -> None:
-    channel = diagnosis.after.channels[0]
+def _draw_histogram(axes: Axes, diagnosis: Diagnosis, j: int) -> None:
+    channel = diagnosis.after.channels[j]
     spread = 4.0 * max(channel.rmse, channel.noise_floor)
-    for score, colour, label in _both(diagnosis):
-        clipped = np.clip(score.errors[:, 0], -spread, spread)
+    for score, colour, label in _both(diagnosis, j):
+        clipped = np.clip(score.errors[:, j], -spread, spread)
         axes.hist(clipped, bins=61, range=(-spread, spread), color=colour, alpha=0.6, label=label)
     axes.locator_params(axis="x", nbins=5)
     finish(axes, "Errors (outliers at the edges)", f"error, {channel.unit}", "samples")
 
 
-def _both(diagnosis: Diagnosis, j: int = 0) -> list[tuple[Score, str, str]]:
+def _both(diagnosis: Diagnosis, j: int) -> list[tuple[Score, str, str]]:
     before, after = diagnosis.before, diagnosis.after
     unit = before.channels[j].unit
     return [

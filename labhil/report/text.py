@@ -13,6 +13,7 @@ from labhil.identify.fit import Fit
 from labhil.identify.score import Score
 from labhil.identify.statistics import Estimate
 from labhil.physics.terms import keyed
+from labhil.report.html.quantity import squared
 from labhil.report.verdicts import VERDICTS
 
 
@@ -92,7 +93,7 @@ def score_table(scores: Sequence[tuple[str, Score]]) -> Table:
                 f"{channel.rmse:.4g} {channel.unit}",
                 f"{channel.noise_floor:.4g} {channel.unit}",
                 f"{channel.max_abs_error:.4g} {channel.unit}",
-                f"{channel.mse:.4g} {channel.unit}²",
+                f"{channel.mse:.4g} {squared(channel.unit)}",
                 f"{100 * channel.r2:.2f} %",
             )
     return table

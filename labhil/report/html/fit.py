@@ -20,7 +20,7 @@ from labhil.report.html.model import (
 )
 from labhil.report.html.page import Page, Section, present, section
 from labhil.report.html.picture import Album, label
-from labhil.report.html.quantity import count, multiple, p_value, percent, quantity
+from labhil.report.html.quantity import count, multiple, p_value, percent, quantity, squared
 from labhil.report.html.schema import ChannelErrors, FitPart, IdentifiabilityPart, ParameterRow, ScorePart
 from labhil.report.html.table import bullets, facts, numbers, table, text, tiles
 from labhil.signals import FloatArray
@@ -131,15 +131,9 @@ def _channel(data: str, channel: ChannelErrors) -> list[Content]:
         quantity(channel.noise_floor, channel.unit),
         multiple(channel.rmse, channel.noise_floor),
         quantity(channel.max_abs_error, channel.unit),
-        quantity(channel.mse, _squared(channel.unit)),
+        quantity(channel.mse, squared(channel.unit)),
         percent(channel.r2),
     ]
-
-
-def _squared(unit: str) -> str:
-    if unit in ("", "1"):
-        return ""
-    return f"{unit}²" if unit.isalpha() else f"({unit})²"
 
 
 def _windows(fit: FitPart, album: Album) -> Section | None:

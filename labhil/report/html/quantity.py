@@ -13,6 +13,13 @@ THOUSANDS = (1e4, 1e7)
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
+def squared(unit: str) -> str:
+    """The square of a unit: ``m²``, ``(rad/s)²``; nothing of none."""
+    if unit in ("", "1"):
+        return ""
+    return f"{unit}²" if unit.isalpha() else f"({unit})²"
+
+
 def quantity(value: float | None, unit: str = "", digits: int = 4) -> str:
     """A number with its unit, ``−0.06 N``; a dash where there is none. A unit of 1 is not written."""
     if value is None or not math.isfinite(value):
