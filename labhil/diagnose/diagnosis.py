@@ -11,11 +11,12 @@ from scipy import stats
 
 from labhil.diagnose import locate
 from labhil.diagnose.answer import Change, Diagnosis, Excluded, Missing, RivalTerm, Undecided
+from labhil.diagnose.contradiction import structure_p_value
 from labhil.diagnose.evidence import bic, effective_samples
 from labhil.diagnose.intake import Fault, usable
 from labhil.diagnose.intake import faults as faults_of
 from labhil.diagnose.search import Data, Found, Rival, Step, search
-from labhil.identify.fitted import Fitted, climb, start_theta
+from labhil.identify.fitted import Fitted, climb, covariances, start_theta
 from labhil.identify.noise import lasting_noise
 from labhil.identify.score import Score, score
 from labhil.identify.statistics import Estimate
@@ -27,7 +28,9 @@ from labhil.physics.terms import keyed, unkeyed
 SEARCH_WINDOW_IN_HORIZONS = 0.375
 FIRST_WINDOW_IN_HORIZONS = 0.1875
 FALSE_ALARM = 5e-4
-UNEXPLAINED = 1.5
+UNEXPLAINED, SURELY_UNEXPLAINED = 1.5, 2.5
+"""Errors above the noise floor that no noise makes: with residuals that go with the input, and without."""
+
 LASTS = 1.1
 """Factor by which noise on short windows must exceed that of single samples to count."""
 
@@ -146,9 +149,18 @@ def _excited(record: Record, sigma: np.ndarray) -> bool:
 def _verdict(found: Found, changed: tuple[Change, ...], after: Score) -> str:
     if found.missing:
         return "missing_physics"
-    if after.rmse > UNEXPLAINED * after.noise_floor:
+    excess = after.rmse / after.noise_floor
+    if excess > SURELY_UNEXPLAINED or (excess > UNEXPLAINED and _structured(found.final)):
         return "unexplained_mismatch"
     return "parameter_change" if changed else "no_mismatch"
+
+
+def _structured(final: Fitted) -> bool:
+    """Whether what is left on the search data goes with the input's recent past."""
+    _, _, jacobian = covariances(final)
+    solution = final.solution
+    p_values = structure_p_value(final.problem, solution.point, solution.residuals, jacobian)
+    return len(p_values) * min(p_values) < FALSE_ALARM
 
 
 def _changes(
