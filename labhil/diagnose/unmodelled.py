@@ -1,0 +1,177 @@
+"""What no named term explains: over which coordinate it acts, its curve, and what that is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from labhil.diagnose.evidence import Evidence, heldout_gain
+from labhil.diagnose.search import ALPHA, NEEDED_BIC, Data
+from labhil.identify.curve import Curved, band, criterion, glance, refined, worth
+from labhil.identify.extended import NAME, Coordinate
+from labhil.identify.fitted import Fitted
+from labhil.identify.score import Score, score
+from labhil.physics.extra_force import Over, Yielding
+from labhil.physics.model import Model
+from labhil.signals import FloatArray
+
+REACHED = 1.05
+"""A model whose errors are at most this much above the noise has nothing left to explain."""
+
+REFINED = 3
+"""How many coordinates are looked at by the simulation itself."""
+
+ITERATIONS = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Unmodelled:
+    """A force that no named term explains.
+
+    ``depends_on`` are the coordinates; the curve has the values ``value`` (m,) in ``unit`` at the places ``x``
+    (m,) of the first of them, with a pointwise 99 % band ``low`` … ``high``. Where it is ``against`` the
+    motion, the force is −value·sgn v. ``model`` and ``fit`` have it in them; ``before`` and ``after`` are
+    held-out scores; ``share`` is what of the mismatch it explains there, (mse_before − mse_after) over
+    (mse_before − floor²). ``degrees`` are the effective degrees of freedom of the whole fit.
+    """
+
+    term: str
+    enters: str
+    depends_on: tuple[str, ...]
+    against: bool
+    x: FloatArray
+    value: FloatArray
+    low: FloatArray
+    high: FloatArray
+    unit: str
+    x_unit: str
+    formula: str | None
+    statement: str
+    evidence: Evidence
+    model: Model
+    fit: Fitted
+    before: Score
+    after: Score
+    share: float
+    degrees: float
+
+
+def unmodelled(data: Data, final: Fitted) -> Unmodelled | None:
+    """The force over one coordinate that brings a fitted model closest to the data; None if none does.
+
+    It has to be supported by the search data and by the held-out ones. The model must take a force.
+    """
+    model = final.problem.model
+    if not isinstance(model, Yielding):
+        return None
+    judged = data.judge(final.theta)
+    if max(final.noise, judged.rmse / judged.noise_floor) < REACHED:
+        return None
+    chosen = _best(final, model)
+    if chosen is None:
+        return None
+    evidence = _evidence(data, final, judged, chosen)
+    if not (
+        evidence.delta_bic < NEEDED_BIC and evidence.heldout_loglik_gain > 0 and evidence.p_value < ALPHA
+    ):
+        return None
+    return _answer(data, final, chosen, evidence)
+
+
+def coordinates_of(model: Yielding, along: Mapping[str, FloatArray]) -> list[Coordinate]:
+    """Everything that a force may be a function of, with and without the sign of velocity."""
+    position, velocity = model.moves_by
+    units = model.coordinate_units
+    found = []
+    if position:
+        found += [
+            Coordinate(position, units[position], acts, model.turn)
+            for acts in (Over.POSITION, Over.POSITION_AGAINST)
+        ]
+    found += [Coordinate(velocity, units[velocity], acts) for acts in (Over.VELOCITY, Over.SPEED_AGAINST)]
+    return found
+
+
+def _given(final: Fitted) -> list[Coordinate]:
+    """Inputs and their rates, which the record gives."""
+    model, record = final.problem.model, final.problem.record
+    names = {f"{name}{rate}" for name in record.input_names for rate in ("", "_rate")}
+    return [Coordinate(n, unit, Over.TIME) for n, unit in model.coordinate_units.items() if n in names]
+
+
+def _best(final: Fitted, model: Yielding) -> Curved | None:
+    """The curve with the least criterion, of all coordinates that vary."""
+    problem = final.problem
+    along = model.coordinates(final.theta, problem.record, problem.windows, final.solution.point.states)
+    looks = []
+    for coordinate in coordinates_of(model, along) + _given(final):
+        values = coordinate.of(along)
+        if np.ptp(values) > 0.0:
+            looks.append(glance(final, coordinate, values))
+    if not looks:
+        return None
+    effective = min(worth(look) for look in looks)
+    looks.sort(key=lambda look: criterion(look, effective))
+    trials = [refined(look, ITERATIONS) for look in looks[:REFINED]]
+    effective = min(worth(trial) for trial in trials)
+    return min(trials, key=lambda trial: criterion(trial, effective))
+
+
+def _evidence(data: Data, final: Fitted, before: Score, chosen: Curved) -> Evidence:
+    effective = worth(chosen)
+    power = float(np.mean(final.solution.residuals**2))
+    without = effective * np.log(power) + len(final.problem.free) * np.log(effective)
+    after = judged(data, chosen.model, chosen.fitted.theta, before)
+    gain, p_value = heldout_gain(before, after)
+    return Evidence(criterion(chosen, effective) - float(without), p_value, gain)
+
+
+def judged(data: Data, model: Model, theta: FloatArray, like: Score) -> Score:
+    """Score another model on the held-out windows of a score."""
+    return score(model, theta, data.test, data.test_sigma, like.horizon)
+
+
+def _answer(data: Data, final: Fitted, chosen: Curved, evidence: Evidence) -> Unmodelled:
+    horizon = data.model.horizon_at(final.theta)
+    before = score(data.model, final.theta, data.test, data.test_sigma, horizon)
+    after = score(chosen.model, chosen.fitted.theta, data.test, data.test_sigma, horizon)
+    coordinate = chosen.model.coordinate
+    x, value, low, high = band(chosen)
+    unit = chosen.model.inner.force_unit
+    velocity = chosen.model.inner.moves_by[1]
+    also = (velocity,) if coordinate.against and coordinate.name != velocity else ()
+    excess = before.mse - after.noise_floor**2
+    return Unmodelled(
+        term=NAME,
+        enters="force",
+        depends_on=(coordinate.name, *also),
+        against=coordinate.against,
+        x=x,
+        value=value,
+        low=low,
+        high=high,
+        unit=unit,
+        x_unit=coordinate.unit,
+        formula=None,
+        statement=_statement(coordinate, x, value, unit),
+        evidence=evidence,
+        model=chosen.model,
+        fit=chosen.fitted,
+        before=before,
+        after=after,
+        share=float((before.mse - after.mse) / excess) if excess > 0.0 else 0.0,
+        degrees=chosen.degrees,
+    )
+
+
+def _statement(coordinate: Coordinate, x: FloatArray, value: FloatArray, unit: str) -> str:
+    """One sentence: over what, which way, how strong and where."""
+    most = int(np.argmax(np.abs(value)))
+    way = "friction" if coordinate.against else "a force"
+    text = (
+        f"Something that no named effect explains acts as {way} that depends on {coordinate.name}: "
+        f"at most {value[most]:.3g} {unit}, at {x[most]:.3g} {coordinate.unit}."
+    )
+    return text.replace("-", "−")
