@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from labhil.diagnose.evidence import Evidence, heldout_gain
 from labhil.diagnose.search import ALPHA, NEEDED_BIC, Data
-from labhil.identify.curve import Curved, band, criterion, glance, refined, worth
+from labhil.identify.curve import (
+    Curved,
+    band,
+    criterion,
+    gauged,
+    glance,
+    length_of,
+    lengthened,
+    refined,
+    shortened,
+    worth,
+)
 from labhil.identify.extended import NAME, Coordinate
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score, score
+from labhil.identify.windows import fit_windows
 from labhil.physics.extra_force import Over, Yielding
 from labhil.physics.model import Model
 from labhil.signals import FloatArray
@@ -25,13 +37,22 @@ REFINED = 3
 
 ITERATIONS = 6
 
+MODERATE = 2.0
+"""Errors, in units of the noise, up to which one linear step tells coordinates apart."""
+
+SHORTER = (0.5, 0.25, 0.125)
+"""Lengths of windows, over those of the fit, by way of which a strong effect is approached."""
+
+BEHIND = 30.0
+"""By which a rival's criterion may be worse on shorter windows."""
+
 
 @dataclass(frozen=True, slots=True)
 class Unmodelled:
     """A force that no named term explains.
 
-    ``depends_on`` are the coordinates; the curve has the values ``value`` (m,) in ``unit`` at the places ``x``
-    (m,) of the first of them, with a pointwise 99 % band ``low`` … ``high``. Where it is ``against`` the
+    ``depends_on`` are the coordinates; the curve has the values ``value`` (m,) in ``unit`` at the places
+    ``x`` (m,) of the first of them, with a pointwise 99 % band ``low`` … ``high``. Where it is ``against`` the
     motion, the force is −value·sgn v. ``model`` and ``fit`` have it in them; ``before`` and ``after`` are
     held-out scores; ``share`` is what of the mismatch it explains there, (mse_before − mse_after) over
     (mse_before − floor²). ``degrees`` are the effective degrees of freedom of the whole fit.
@@ -80,7 +101,7 @@ def unmodelled(data: Data, final: Fitted) -> Unmodelled | None:
     return _answer(data, final, chosen, evidence)
 
 
-def coordinates_of(model: Yielding, along: Mapping[str, FloatArray]) -> list[Coordinate]:
+def coordinates_of(model: Yielding) -> list[Coordinate]:
     """Everything that a force may be a function of, with and without the sign of velocity."""
     position, velocity = model.moves_by
     units = model.coordinate_units
@@ -102,21 +123,47 @@ def _given(final: Fitted) -> list[Coordinate]:
 
 
 def _best(final: Fitted, model: Yielding) -> Curved | None:
-    """The curve with the least criterion, of all coordinates that vary."""
-    problem = final.problem
-    along = model.coordinates(final.theta, problem.record, problem.windows, final.solution.point.states)
-    looks = []
-    for coordinate in coordinates_of(model, along) + _given(final):
-        values = coordinate.of(along)
-        if np.ptp(values) > 0.0:
-            looks.append(glance(final, coordinate, values))
+    """The curve with the least criterion, of all coordinates that vary.
+
+    Glances are on windows so short that even a strong effect is nearly a linear one.
+    """
+    begun, longer = _begun(final)
+    problem = begun.problem
+    along = model.coordinates(begun.theta, problem.record, problem.windows, begun.solution.point.states)
+    possible = [(c, c.of(along)) for c in coordinates_of(model) + _given(final)]
+    looks = [glance(begun, coordinate, values) for coordinate, values in possible if np.ptp(values) > 0.0]
     if not looks:
         return None
-    effective = min(worth(look) for look in looks)
+    effective = _worth(looks)
     looks.sort(key=lambda look: criterion(look, effective))
-    trials = [refined(look, ITERATIONS) for look in looks[:REFINED]]
-    effective = min(worth(trial) for trial in trials)
-    return min(trials, key=lambda trial: criterion(trial, effective))
+    trials = _leading([refined(look, ITERATIONS) for look in looks[:REFINED]])
+    for share in longer:
+        windows = fit_windows(problem.record, share * length_of(final))
+        trials = _leading([lengthened(trial, windows, ITERATIONS) for trial in trials])
+    return gauged(trials[0])
+
+
+def _begun(final: Fitted) -> tuple[Fitted, tuple[float, ...]]:
+    """The fit on the longest windows on which its errors are moderate, and the way back to its own."""
+    if final.noise < MODERATE:
+        return final, ()
+    for place, share in enumerate(SHORTER):
+        begun = shortened(final, share)
+        if begun.noise < MODERATE:
+            break
+    return begun, (*reversed(SHORTER[:place]), 1.0)
+
+
+def _leading(trials: Sequence[Curved]) -> list[Curved]:
+    """Those that the best one does not leave far behind, best first."""
+    effective = _worth(trials)
+    marks = [criterion(trial, effective) for trial in trials]
+    return [trials[i] for i in np.argsort(marks) if marks[i] < min(marks) + BEHIND]
+
+
+def _worth(trials: Sequence[Curved]) -> float:
+    """Samples that count: of the fit with the least residuals, for those of a bad one are all alike."""
+    return worth(min(trials, key=lambda trial: trial.fitted.solution.cost))
 
 
 def _evidence(data: Data, final: Fitted, before: Score, chosen: Curved) -> Evidence:

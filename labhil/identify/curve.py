@@ -10,10 +10,13 @@ from scipy import stats
 from labhil.diagnose.evidence import independent
 from labhil.identify.extended import NAME, Coordinate, ExtendedModel
 from labhil.identify.fitted import Fitted
+from labhil.identify.least_squares import Solution, fit_states
 from labhil.identify.penalised import Projected, minimise
 from labhil.identify.problem import Point, Problem
 from labhil.identify.spline import Spline
+from labhil.identify.windows import fit_windows
 from labhil.physics.extra_force import Yielding
+from labhil.physics.model import Windows
 from labhil.physics.terms import Yardstick
 from labhil.signals import FloatArray
 
@@ -31,6 +34,9 @@ WIDEST = 0.01
 
 SAME = 1e-3
 """Share of its square that a shape keeps beside the model's own parameters when these can stand for it."""
+
+NO_WORSE = 1.01
+"""Growth of the cost up to which a shape is handed over to the model's own parameters."""
 
 REWEIGHTED = 60
 LEVEL = 0.99
@@ -52,6 +58,7 @@ class Curved:
     near: Projected
     degrees: float
     along: FloatArray
+    free: FloatArray
 
     @property
     def coefficients(self) -> FloatArray:
@@ -59,27 +66,46 @@ class Curved:
         return self.model.split(self.fitted.theta)[1]
 
 
-def glance(final: Fitted, coordinate: Coordinate, along: FloatArray) -> Curved:
-    """The curve that one linear step from a fitted model gives, with the smoothness that predicts best.
+def shortened(final: Fitted, share: float) -> Fitted:
+    """The same values on windows that are shorter by so much, each with the state that fits it best."""
+    old = final.problem
+    windows = fit_windows(old.record, share * length_of(final))
+    problem = Problem(old.model, old.record, windows, old.free, final.theta, old.sigma)
+    z = problem.start().z
+    states = fit_states(problem, z, problem.guess)
+    point = Point(z, states)
+    residuals = problem.residuals(point)
+    return replace(final, problem=problem, solution=Solution(point, residuals, 0, True), rivals=())
+
+
+def length_of(fitted: Fitted) -> float:
+    """Mean length of a fit's windows, s."""
+    record, windows = fitted.problem.record, fitted.problem.windows
+    return float(record.t[-1] - record.t[0]) / len(windows)
+
+
+def glance(begun: Fitted, coordinate: Coordinate, along: FloatArray) -> Curved:
+    """The curve that one linear step from a model's fit gives, with the smoothness that predicts best.
 
     ``along`` (N,) is the coordinate where the data are.
     """
-    inner = final.problem.model
+    inner = begun.problem.model
     assert isinstance(inner, Yielding)
-    old = final.problem
+    old = begun.problem
     size = SIZE * inner.yardsticks(old.record)[Yardstick.DRIVE]
     model = ExtendedModel(inner, coordinate, Spline.of(along, FUNCTIONS), size)
     own = len(inner.parameters)
     free = np.r_[old.free, own + np.arange(model.spline.count)]
-    theta = np.r_[final.theta, np.zeros(model.spline.count)]
+    theta = np.r_[begun.theta, np.zeros(model.spline.count)]
     problem = Problem(model, old.record, old.windows, free, theta, old.sigma)
-    point = Point(problem.start().z, final.solution.point.states)
-    near, _ = Projected.at(problem, point, final.solution.residuals)
+    point = Point(problem.start().z, begun.solution.point.states)
+    near, _ = Projected.at(problem, point, begun.solution.residuals)
     penalty = _smoothest(near, model)
     z = near.solve(penalty)
-    solution = replace(final.solution, point=replace(point, z=z), residuals=near.left(z))
-    fitted = Fitted((*final.terms, NAME), problem.theta(z), problem, solution)
-    return Curved(fitted, model, penalty, near, near.degrees(penalty), along)
+    solution = replace(begun.solution, point=replace(point, z=z), residuals=near.left(z))
+    fitted = Fitted((*begun.terms, NAME), problem.theta(z), problem, solution)
+    kept = np.eye(model.spline.count)
+    return Curved(fitted, model, penalty, near, near.degrees(penalty), along, kept)
 
 
 def _smoothest(near: Projected, model: ExtendedModel) -> FloatArray:
@@ -100,15 +126,28 @@ def _penalty(near: Projected, model: ExtendedModel, weight: float) -> FloatArray
 
 def refined(glanced: Curved, iterations: int) -> Curved:
     """The same curve by the simulation itself, its smoothness chosen anew where that ends."""
-    problem, penalty, solution = glanced.fitted.problem, glanced.penalty, glanced.fitted.solution
-    start = replace(solution.point, z=np.clip(solution.point.z, problem.lower, problem.upper))
-    for _ in range(2):
-        solution = minimise(problem, start, penalty, iterations)
-        near, _ = Projected.at(problem, solution.point, solution.residuals)
-        start, penalty = solution.point, _smoothest(near, glanced.model)
-    fitted = replace(glanced.fitted, theta=problem.theta(solution.point.z), solution=solution)
-    curved = replace(glanced, fitted=fitted, penalty=penalty, near=near, degrees=near.degrees(penalty))
-    return _gauged(curved)
+    # from where the fit without the curve ended: a linear step may be too long
+    start = replace(glanced.fitted.solution.point, z=glanced.near.z)
+    return _minimised(_minimised(glanced, start, iterations), None, iterations)
+
+
+def lengthened(curved: Curved, windows: Windows, iterations: int) -> Curved:
+    """The same curve refitted on longer windows."""
+    old = curved.fitted.problem
+    problem = Problem(curved.model, old.record, windows, old.free, curved.fitted.theta, old.sigma)
+    z = curved.fitted.solution.point.z
+    start = Point(z, fit_states(problem, z, problem.guess))
+    onward = replace(curved, fitted=replace(curved.fitted, problem=problem))
+    return _minimised(onward, start, iterations)
+
+
+def _minimised(curved: Curved, start: Point | None, iterations: int) -> Curved:
+    problem, fitted = curved.fitted.problem, curved.fitted
+    solution = minimise(problem, start or fitted.solution.point, curved.penalty, iterations)
+    near, _ = Projected.at(problem, solution.point, solution.residuals)
+    penalty = _smoothest(near, curved.model)
+    fitted = replace(fitted, theta=problem.theta(solution.point.z), solution=solution)
+    return replace(curved, fitted=fitted, penalty=penalty, near=near, degrees=near.degrees(penalty))
 
 
 def criterion(curved: Curved, effective: float) -> float:
@@ -140,8 +179,7 @@ def covariance(curved: Curved) -> FloatArray:
     dof = len(fitted.solution.residuals) - curved.degrees - fitted.solution.point.states.size
     whole = curved.near.covariance(curved.penalty, max(dof, 1.0), len(fitted.problem.sigma))
     size = curved.model.coefficients[0].scale
-    free = _freed(curved)
-    return np.asarray(free @ whole[-count:, -count:] @ free.T) * size**2
+    return np.asarray(curved.free @ whole[-count:, -count:] @ curved.free.T) * size**2
 
 
 def _shapes(curved: Curved) -> FloatArray:
@@ -188,7 +226,7 @@ def _freed(curved: Curved) -> FloatArray:
     return np.asarray(np.eye(spline.count) - shapes @ share)
 
 
-def _gauged(curved: Curved) -> Curved:
+def gauged(curved: Curved) -> Curved:
     """The same fit with that part of the curve in the model's own parameters that these can stand for."""
     count, fitted = curved.model.spline.count, curved.fitted
     free, z = _freed(curved), fitted.solution.point.z
@@ -199,8 +237,8 @@ def _gauged(curved: Curved) -> Curved:
     moved = np.clip(z + np.r_[own, -taken], problem.lower, problem.upper)
     point = replace(fitted.solution.point, z=moved)
     solution = replace(fitted.solution, point=point, residuals=problem.residuals(point))
+    if solution.cost > NO_WORSE * fitted.solution.cost:
+        return curved
     near = replace(curved.near, z=moved)
-    return replace(
-        curved, fitted=replace(fitted, theta=problem.theta(moved), solution=solution), near=near
-    )
-
+    fitted = replace(fitted, theta=problem.theta(moved), solution=solution)
+    return replace(curved, fitted=fitted, near=near, free=free)

@@ -52,5 +52,7 @@ class Spline:
     def roughness(self) -> FloatArray:
         """∫ f″² of the coordinate in units of its range, as a form of the coefficients, (count, count)."""
         x = np.linspace(self.low, self.high, QUADRATURE)
-        second = BSpline(self.knots, np.eye(self.count), DEGREE).derivative(2)(x) * (self.high - self.low) ** 2
+        second = (
+            BSpline(self.knots, np.eye(self.count), DEGREE).derivative(2)(x) * (self.high - self.low) ** 2
+        )
         return np.asarray(second.T @ second / QUADRATURE)

@@ -1,4 +1,4 @@
-"""A force that no named term describes: a curve along the motion, or a course in time, beside a kernel's laws.
+"""A force that no named term describes, beside a kernel's laws: a curve along the motion, or a course in time.
 
 :func:`with_extra` makes of the laws of any moving part (see ``physics.stick_slip``) those of the same part
 under one more force, so a kernel without it stays what it is. A curve is a table over the part's own
