@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,6 +43,12 @@ MODERATE = 2.0
 SHORTER = (0.5, 0.25, 0.125)
 """Lengths of windows, over those of the fit, by way of which a strong effect is approached."""
 
+WAYS: Mapping[Over, str] = {
+    Over.POSITION_AGAINST: "dry friction",
+    Over.SPEED_AGAINST: "friction",
+    Over.DAMPING: "viscous friction",
+}
+
 BEHIND = 30.0
 """By which a rival's criterion may be worse on shorter windows."""
 
@@ -52,16 +58,17 @@ class Unmodelled:
     """A force that no named term explains.
 
     ``depends_on`` are the coordinates; the curve has the values ``value`` (m,) in ``unit`` at the places
-    ``x`` (m,) of the first of them, with a pointwise 99 % band ``low`` … ``high``. Where it is ``against`` the
-    motion, the force is −value·sgn v. ``model`` and ``fit`` have it in them; ``before`` and ``after`` are
-    held-out scores; ``share`` is what of the mismatch it explains there, (mse_before − mse_after) over
-    (mse_before − floor²). ``degrees`` are the effective degrees of freedom of the whole fit.
+    ``x`` (m,) of the first of them, with a pointwise 99 % band ``low`` … ``high``. By ``acts`` it is a force
+    along the positive direction, or the level of a friction (−value·sgn v), or a damping (−value·v).
+    ``model`` and ``fit`` have it in them; ``before`` and ``after`` are held-out scores; ``share`` is what of
+    the mismatch it explains there, (mse_before − mse_after)/(mse_before − floor²). ``degrees`` are the
+    effective degrees of freedom of the whole fit.
     """
 
     term: str
     enters: str
     depends_on: tuple[str, ...]
-    against: bool
+    acts: Over
     x: FloatArray
     value: FloatArray
     low: FloatArray
@@ -109,7 +116,7 @@ def coordinates_of(model: Yielding) -> list[Coordinate]:
     if position:
         found += [
             Coordinate(position, units[position], acts, model.turn)
-            for acts in (Over.POSITION, Over.POSITION_AGAINST)
+            for acts in (Over.POSITION, Over.POSITION_AGAINST, Over.DAMPING)
         ]
     found += [Coordinate(velocity, units[velocity], acts) for acts in (Over.VELOCITY, Over.SPEED_AGAINST)]
     return found
@@ -137,21 +144,22 @@ def _best(final: Fitted, model: Yielding) -> Curved | None:
     effective = _worth(looks)
     looks.sort(key=lambda look: criterion(look, effective))
     trials = _leading([refined(look, ITERATIONS) for look in looks[:REFINED]])
-    for share in longer:
-        windows = fit_windows(problem.record, share * length_of(final))
+    for length in longer:
+        windows = fit_windows(problem.record, length)
         trials = _leading([lengthened(trial, windows, ITERATIONS) for trial in trials])
     return gauged(trials[0])
 
 
 def _begun(final: Fitted) -> tuple[Fitted, tuple[float, ...]]:
-    """The fit on the longest windows on which its errors are moderate, and the way back to its own."""
-    if final.noise < MODERATE:
-        return final, ()
-    for place, share in enumerate(SHORTER):
-        begun = shortened(final, share)
+    """The fit on the longest windows on which its errors are moderate, and the lengths (s) back."""
+    begun = final
+    longer: tuple[float, ...] = ()
+    for share in SHORTER:
         if begun.noise < MODERATE:
             break
-    return begun, (*reversed(SHORTER[:place]), 1.0)
+        longer = (length_of(begun), *longer)
+        begun = shortened(final, share)
+    return begun, longer
 
 
 def _leading(trials: Sequence[Curved]) -> list[Curved]:
@@ -186,15 +194,15 @@ def _answer(data: Data, final: Fitted, chosen: Curved, evidence: Evidence) -> Un
     after = score(chosen.model, chosen.fitted.theta, data.test, data.test_sigma, horizon)
     coordinate = chosen.model.coordinate
     x, value, low, high = band(chosen)
-    unit = chosen.model.inner.force_unit
+    unit = chosen.model.coefficients[0].unit
     velocity = chosen.model.inner.moves_by[1]
-    also = (velocity,) if coordinate.against and coordinate.name != velocity else ()
+    also = (velocity,) if coordinate.acts in (Over.POSITION_AGAINST, Over.DAMPING) else ()
     excess = before.mse - after.noise_floor**2
     return Unmodelled(
         term=NAME,
         enters="force",
         depends_on=(coordinate.name, *also),
-        against=coordinate.against,
+        acts=coordinate.acts,
         x=x,
         value=value,
         low=low,
@@ -216,7 +224,7 @@ def _answer(data: Data, final: Fitted, chosen: Curved, evidence: Evidence) -> Un
 def _statement(coordinate: Coordinate, x: FloatArray, value: FloatArray, unit: str) -> str:
     """One sentence: over what, which way, how strong and where."""
     most = int(np.argmax(np.abs(value)))
-    way = "friction" if coordinate.against else "a force"
+    way = WAYS.get(coordinate.acts, "a force")
     text = (
         f"Something that no named effect explains acts as {way} that depends on {coordinate.name}: "
         f"at most {value[most]:.3g} {unit}, at {x[most]:.3g} {coordinate.unit}."

@@ -15,7 +15,7 @@ from labhil.identify.penalised import Projected, minimise
 from labhil.identify.problem import Point, Problem
 from labhil.identify.spline import Spline
 from labhil.identify.windows import fit_windows
-from labhil.physics.extra_force import Yielding
+from labhil.physics.extra_force import Over, Yielding
 from labhil.physics.model import Windows
 from labhil.physics.terms import Yardstick
 from labhil.signals import FloatArray
@@ -92,7 +92,9 @@ def glance(begun: Fitted, coordinate: Coordinate, along: FloatArray) -> Curved:
     inner = begun.problem.model
     assert isinstance(inner, Yielding)
     old = begun.problem
-    size = SIZE * inner.yardsticks(old.record)[Yardstick.DRIVE]
+    measure = inner.yardsticks(old.record)
+    speed = measure[Yardstick.SPEED] if coordinate.acts is Over.DAMPING else 1.0
+    size = SIZE * measure[Yardstick.DRIVE] / speed
     model = ExtendedModel(inner, coordinate, Spline.of(along, FUNCTIONS), size)
     own = len(inner.parameters)
     free = np.r_[old.free, own + np.arange(model.spline.count)]

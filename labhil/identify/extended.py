@@ -37,10 +37,11 @@ class Coordinate:
     acts: Over
     turn: float = 0.0
 
-    @property
-    def against(self) -> bool:
-        """Whether the force acts against the motion."""
-        return self.acts in (Over.POSITION_AGAINST, Over.SPEED_AGAINST)
+    def force(self, curve: FloatArray, velocity: FloatArray) -> FloatArray:
+        """The force along the positive direction of values of the curve (N,) at velocities (N,)."""
+        if self.acts in (Over.POSITION_AGAINST, Over.SPEED_AGAINST):
+            return np.asarray(-curve * np.sign(velocity))
+        return np.asarray(-curve * velocity) if self.acts is Over.DAMPING else curve
 
     def of(self, along: Mapping[str, FloatArray]) -> FloatArray:
         """Its values where a model's coordinates are ``along``, (N,)."""
@@ -63,7 +64,7 @@ class ExtendedModel:
     """A model under a force that is a spline of one coordinate (satisfies ``physics.model.Model``).
 
     Its parameters are those of ``inner`` and after them the spline's coefficients; all else is the inner
-    model's. ``size`` is a typical force, in the inner model's unit of force.
+    model's. ``size`` is a typical value of the curve.
     """
 
     def __init__(self, inner: Yielding, coordinate: Coordinate, spline: Spline, size: float) -> None:
@@ -79,11 +80,13 @@ class ExtendedModel:
         self.forgets = inner.forgets
         self.horizon = inner.horizon
         self.coordinate_units = inner.coordinate_units
+        per = f"/({inner.coordinate_units[inner.moves_by[1]]})" if coordinate.acts is Over.DAMPING else ""
         self.coefficients = tuple(
-            Parameter(f"{NAME}.coefficient_{k}", inner.force_unit, size, step=STEP)
+            Parameter(f"{NAME}.coefficient_{k}", inner.force_unit + per, size, step=STEP)
             for k in range(spline.count)
         )
-        direction = " against the motion" if coordinate.against else ""
+        forward = coordinate.acts in (Over.TIME, Over.POSITION, Over.VELOCITY)
+        direction = "" if forward else " against the motion"
         term = Term(
             NAME, Enters.FORCE, f"a force along {coordinate.name}{direction} that no named effect explains",
             f"F = f({coordinate.name})", "estimated: a penalised spline (Eilers and Marx 1996)",
@@ -133,9 +136,7 @@ class ExtendedModel:
         if self.coordinate.name not in coordinates:
             return force
         curve = self.spline.design(self.coordinate.of(coordinates)) @ coefficients
-        if self.coordinate.against:
-            curve = -curve * np.sign(coordinates[self.inner.moves_by[1]])
-        return np.asarray(force + curve)
+        return np.asarray(force + self.coordinate.force(curve, coordinates[self.inner.moves_by[1]]))
 
     def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
         """The inner model's."""

@@ -1,4 +1,4 @@
-"""A force that no named term describes, beside a kernel's laws: a curve along the motion, or a course in time.
+"""A force that no named term describes, beside a kernel's laws: a curve along the motion or a course.
 
 :func:`with_extra` makes of the laws of any moving part (see ``physics.stick_slip``) those of the same part
 under one more force, so a kernel without it stays what it is. A curve is a table over the part's own
@@ -34,6 +34,8 @@ class Over(IntEnum):
     """Acts along the positive direction."""
     SPEED_AGAINST = 4
     """A curve over the size of velocity, which acts against the motion; at zero it adds to the hold."""
+    DAMPING = 5
+    """A curve over position times the velocity, against the motion."""
 
 
 class Beyond(NamedTuple):
@@ -145,6 +147,8 @@ def pushes(s: Motion, b: Beyond) -> float:
     """What acts along the positive direction, over the inertia."""
     if b.over == 1:
         return looked_up(s.x, b)
+    if b.over == 5:
+        return -s.v * looked_up(s.x, b)
     return looked_up(s.v, b) if b.over == 3 else b.course
 
 
@@ -192,7 +196,7 @@ def with_extra(laws: Laws[Part, Course]) -> Laws[Pushed[Part], PushedCourse[Cour
         size = pace(s, side, u, rise, since, how, finest, p.part)
         if side == 0.0 or p.beyond.over == 0:
             return size
-        rate = s.v if p.beyond.over <= 2 else pulled(s, side, u, p)
+        rate = pulled(s, side, u, p) if 3 <= p.beyond.over <= 4 else s.v
         return min(size, max(p.beyond.width / (abs(rate) + TINY), finest))
 
     @specialised
