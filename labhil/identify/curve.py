@@ -113,7 +113,7 @@ def glance(begun: Fitted, coordinate: Coordinate, along: FloatArray) -> Curved:
 def _smoothest(near: Projected, model: ExtendedModel) -> FloatArray:
     """The penalty (P, P) under which windows are predicted best that had no part in the estimate."""
     penalties = [_penalty(near, model, weight) for weight in SMOOTHING]
-    return min(penalties, key=near.crossed)
+    return penalties[int(np.argmin(near.crossed(penalties)))]
 
 
 def _penalty(near: Projected, model: ExtendedModel, weight: float) -> FloatArray:

@@ -11,6 +11,7 @@ pointwise bands cover on the average over the curve.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,7 +47,9 @@ class Projected:
 
     def solve(self, penalty: FloatArray) -> FloatArray:
         """The ``z`` (P,) at which the linearised, penalised cost is least."""
-        return self._solved(self.slopes, self.residuals, penalty)
+        normal = self.slopes.T @ self.slopes
+        right = self.slopes.T @ (self.slopes @ self.z - self.residuals)
+        return np.asarray(np.linalg.solve(normal + penalty + _least(normal), right))
 
     def left(self, z: FloatArray) -> FloatArray:
         """Residuals (N,) that the linearised model has at ``z``."""
@@ -57,15 +60,24 @@ class Projected:
         normal = self.slopes.T @ self.slopes
         return float(np.trace(np.linalg.solve(normal + penalty, normal)))
 
-    def crossed(self, penalty: FloatArray) -> float:
-        """Squared residuals of windows that had no part in the estimate, in turn for a tenth of them."""
+    def crossed(self, penalties: Sequence[FloatArray]) -> FloatArray:
+        """Squared residuals of windows that had no part in the estimate, in turn for a tenth of them.
+
+        One sum for each of the ``penalties``.
+        """
         folds = min(FOLDS, int(self.owner.max()) + 1)
-        total = 0.0
-        for fold in range(folds):
-            aside = self.owner % folds == fold
-            z = self._solved(self.slopes[~aside], self.residuals[~aside], penalty)
-            total += float(np.sum(self.left(z)[aside] ** 2))
-        return total
+        both = np.column_stack([self.slopes, self.residuals - self.slopes @ self.z])
+        parts = [rows.T @ rows for rows in (both[self.owner % folds == fold] for fold in range(folds))]
+        whole = np.sum(parts, axis=0)
+        totals = np.zeros(len(penalties))
+        for i, penalty in enumerate(penalties):
+            for part in parts:
+                seen = whole - part
+                normal = seen[:-1, :-1]
+                z = np.linalg.solve(normal + penalty + _least(normal), -seen[:-1, -1])
+                moved = np.r_[z, 1.0]
+                totals[i] += float(moved @ part @ moved)
+        return totals
 
     def covariance(self, penalty: FloatArray, dof: float, channels: int) -> FloatArray:
         """Covariance (P, P) of the estimate, in units of the parameters' scales."""
@@ -80,11 +92,6 @@ class Projected:
         robust = spreads[0]
         raised = np.sqrt(widest / np.maximum(np.diag(robust), 1e-300))
         return np.asarray(robust * np.outer(raised, raised))
-
-    def _solved(self, slopes: FloatArray, residuals: FloatArray, penalty: FloatArray) -> FloatArray:
-        normal = slopes.T @ slopes
-        right = slopes.T @ (slopes @ self.z - residuals)
-        return np.asarray(np.linalg.solve(normal + penalty + _least(normal), right))
 
 
 def _least(normal: FloatArray) -> FloatArray:
