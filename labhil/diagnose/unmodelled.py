@@ -7,14 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from labhil.diagnose.closed_forms import closed_form
 from labhil.diagnose.evidence import Evidence, heldout_gain
 from labhil.diagnose.search import ALPHA, NEEDED_BIC, Data
 from labhil.identify.curve import (
+    Band,
     Curved,
     band,
     criterion,
     gauged,
     glance,
+    handed_over,
     length_of,
     lengthened,
     refined,
@@ -193,7 +196,7 @@ def _answer(data: Data, final: Fitted, chosen: Curved, evidence: Evidence) -> Un
     before = score(data.model, final.theta, data.test, data.test_sigma, horizon)
     after = score(chosen.model, chosen.fitted.theta, data.test, data.test_sigma, horizon)
     coordinate = chosen.model.coordinate
-    x, value, low, high = band(chosen)
+    curve = band(chosen)
     unit = chosen.model.coefficients[0].unit
     velocity = chosen.model.inner.moves_by[1]
     also = (velocity,) if coordinate.acts in (Over.POSITION_AGAINST, Over.DAMPING) else ()
@@ -203,14 +206,14 @@ def _answer(data: Data, final: Fitted, chosen: Curved, evidence: Evidence) -> Un
         enters="force",
         depends_on=(coordinate.name, *also),
         acts=coordinate.acts,
-        x=x,
-        value=value,
-        low=low,
-        high=high,
+        x=curve.x,
+        value=curve.value,
+        low=curve.value - curve.reach,
+        high=curve.value + curve.reach,
         unit=unit,
         x_unit=coordinate.unit,
-        formula=None,
-        statement=_statement(coordinate, x, value, unit),
+        formula=closed_form(curve.x, curve.value, curve.covariance, curve.reach),
+        statement=_statement(chosen, curve, unit),
         evidence=evidence,
         model=chosen.model,
         fit=chosen.fitted,
@@ -221,12 +224,15 @@ def _answer(data: Data, final: Fitted, chosen: Curved, evidence: Evidence) -> Un
     )
 
 
-def _statement(coordinate: Coordinate, x: FloatArray, value: FloatArray, unit: str) -> str:
-    """One sentence: over what, which way, how strong and where."""
-    most = int(np.argmax(np.abs(value)))
+def _statement(chosen: Curved, curve: Band, unit: str) -> str:
+    """One or two sentences: over what, which way, how strong and where."""
+    coordinate = chosen.model.coordinate
+    most = int(np.argmax(np.abs(curve.value)))
     way = WAYS.get(coordinate.acts, "a force")
     text = (
         f"Something that no named effect explains acts as {way} that depends on {coordinate.name}: "
-        f"at most {value[most]:.3g} {unit}, at {x[most]:.3g} {coordinate.unit}."
+        f"{curve.value[most]:.3g} {unit} where it is strongest, at {curve.x[most]:.3g} {coordinate.unit}."
     )
+    if handed_over(chosen):
+        text += " It is zero where it is quietest: the model's own parameters can stand for the rest."
     return text.replace("-", "−")

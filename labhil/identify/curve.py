@@ -164,15 +164,29 @@ def worth(curved: Curved) -> float:
     return independent(curved.fitted.solution.residuals.reshape(-1, len(curved.fitted.problem.sigma)))
 
 
-def band(curved: Curved) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Places (m,), the curve there and its pointwise 99 % band, in the units of coordinate and force."""
+@dataclass(frozen=True, slots=True)
+class Band:
+    """Places ``x`` (m,), the curve there, its covariance (m, m), and half of its pointwise 99 % band (m,)."""
+
+    x: FloatArray
+    value: FloatArray
+    covariance: FloatArray
+    reach: FloatArray
+
+
+def band(curved: Curved) -> Band:
+    """The curve over the visited range, in the units of coordinate and force."""
     spline = curved.model.spline
+    design = spline.on(PLACES)
+    spread = design @ covariance(curved) @ design.T
+    reach = stats.norm.ppf(0.5 + 0.5 * LEVEL) * np.sqrt(np.maximum(np.diag(spread), 0.0))
     x = np.linspace(spline.low, spline.high, PLACES)
-    design = spline.design(x)
-    value = design @ curved.coefficients
-    spread = np.sqrt(np.maximum(np.diag(design @ covariance(curved) @ design.T), 0.0))
-    reach = stats.norm.ppf(0.5 + 0.5 * LEVEL) * spread
-    return x, value, value - reach, value + reach
+    return Band(x, design @ curved.coefficients, spread, np.asarray(reach))
+
+
+def handed_over(curved: Curved) -> bool:
+    """Whether the model's own parameters hold a constant or a straight line of the curve."""
+    return not np.array_equal(curved.free, np.eye(len(curved.free)))
 
 
 def covariance(curved: Curved) -> FloatArray:
