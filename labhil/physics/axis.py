@@ -6,12 +6,14 @@ with a voltage and without [known] drive_gain the mass must be known, or only ra
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 
 import numpy as np
 
 from labhil.physics import sliding
 from labhil.physics.driven import DrivenPath
+from labhil.physics.extra_force import ExtraForce
 from labhil.physics.friction_terms import friction_terms, load_dependent_friction
 from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.path_terms import input_terms, output_terms
@@ -136,6 +138,10 @@ class AxisModel:
     metric = Metric.WINDOWED_SIMULATION
     forgets = False
     state_names = ("position", "axis_velocity")
+    force_unit = "N"
+    moves_by = ("position", "axis_velocity")
+    turn = 0.0
+    _extra: ExtraForce | None = None
 
     def __init__(self, rig: RigFile, record: Record | None = None) -> None:
         self.volts = record is not None and record.input_names[0] == "drive_voltage"
@@ -164,6 +170,12 @@ class AxisModel:
         self._stated = rig.metric.horizon
         self.horizon = self._stated or TIME_CONSTANTS * self.sizes.time_constant
         self._path = DrivenPath()
+
+    def with_force(self, force: ExtraForce) -> AxisModel:
+        """The same axis under one more force, N."""
+        other = copy.copy(self)
+        other._extra = force
+        return other
 
     def horizon_at(self, theta: FloatArray) -> float:
         """Three times mass over viscous friction, s."""
@@ -261,8 +273,13 @@ class AxisModel:
         if rate := self._values.of(theta, "temperature_dependent_friction.rate"):
             change = np.exp(-rate * (record.auxiliary["temperature"] - REFERENCE))
         out = np.empty((len(windows.rows), 3))
-        sliding.simulate(
+        mass = self._mass(theta)
+        given = (
             record.t, nodes, values, windows.first, windows.last, states, self._table(theta),
-            self._part(theta), self._values.friction_law(theta, self._mass(theta)), change, out,
+            self._part(theta), self._values.friction_law(theta, mass), change,
         )  # fmt: skip
+        if self._extra is None:
+            sliding.simulate(*given, out)
+        else:
+            sliding.simulate_pushed(*given, *self._extra.over(mass, record), out)
         return out[:, :2]

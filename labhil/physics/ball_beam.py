@@ -6,11 +6,13 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 
 import numpy as np
 
 from labhil.physics import input_path, rolling
+from labhil.physics.extra_force import ExtraForce
 from labhil.physics.friction_terms import friction_terms
 from labhil.physics.model import Metric, Record, Windows, index_of, start_values
 from labhil.physics.path_terms import input_terms, output_terms
@@ -110,6 +112,9 @@ class BallBeamModel:
         "beam_angle_rate": "rad/s",
     }
     state_names = ("ball_position", "ball_velocity")
+    moves_by = ("ball_position", "ball_velocity")
+    turn = 0.0
+    _extra: ExtraForce | None = None
     state_scale = np.array([0.01, 0.05])
     metric = Metric.WINDOWED_SIMULATION
     forgets = False
@@ -127,6 +132,17 @@ class BallBeamModel:
         self.parameters = own + tuple(p for term in self.terms.values() for p in term.parameters)
         self._index = index_of(self.parameters)
         self._remembered: dict[tuple[float, ...], tuple[Record, input_path.Nodes]] = {}
+
+    @property
+    def force_unit(self) -> str:
+        """N, or m/s² per unit of mass."""
+        return "m/s²" if self.per_unit_mass else "N"
+
+    def with_force(self, force: ExtraForce) -> BallBeamModel:
+        """The same ball under one more force along the beam."""
+        other = copy.copy(self)
+        other._extra = force
+        return other
 
     def _estimated(self) -> list[str]:
         names = ["acceleration_per_radian"] if self.per_unit_mass else []
@@ -242,6 +258,8 @@ class BallBeamModel:
         nodes, angle = self._way_in(theta, record)
         out = np.empty((len(windows.rows), 2))
         k = self._kernel(theta)
+        if self._extra is not None:
+            k = rolling.with_force(k, *self._extra.over(self._effective_mass(theta), record))
         rolling.simulate(
             record.t, nodes, angle, self._ratio(theta), windows.first, windows.last, states, k, out
         )

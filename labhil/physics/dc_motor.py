@@ -6,6 +6,7 @@ inertia and torques divided by a, change nothing; the model does not hide that, 
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from labhil.physics import winding
 from labhil.physics.dc_motor_terms import REFERENCE, Sizes, catalogue, own_parameters
 from labhil.physics.driven import DrivenPath
+from labhil.physics.extra_force import ExtraForce
 from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.terms import Term, Yardstick
 from labhil.physics.values import Values, known_numbers, near
@@ -47,6 +49,9 @@ class DcMotorModel:
     metric = Metric.WINDOWED_SIMULATION
     forgets = True
     state_names = ("shaft_velocity", "current")
+    force_unit = "N·m"
+    turn = 2.0 * np.pi
+    _extra: ExtraForce | None = None
 
     def __init__(self, rig: RigFile, record: Record | None = None) -> None:
         self.sizes = Sizes(record)
@@ -65,6 +70,15 @@ class DcMotorModel:
         self._stated = rig.metric.horizon
         self.horizon = self._stated or TIME_CONSTANTS * self.sizes.time_constant
         self._path = DrivenPath()
+        # without a measured angle each window counts its own from zero
+        told = record is not None and "angle" in record.auxiliary
+        self.moves_by = ("shaft_angle" if told else "", "shaft_velocity")
+
+    def with_force(self, force: ExtraForce) -> DcMotorModel:
+        """The same motor under one more torque, N·m."""
+        other = copy.copy(self)
+        other._extra = force
+        return other
 
     def horizon_at(self, theta: FloatArray) -> float:
         """Three mechanical time constants J/(c + K²/R), s."""
@@ -186,10 +200,14 @@ class DcMotorModel:
         out = np.empty((len(windows.rows), 3))
         law = self._values.friction_law(theta, self._inertia(theta))
         warm, change = self._warm(theta, record), self._viscous_change(theta, record)
-        winding.simulate(
+        given = (
             record.t, node_t, voltage, windows.first, windows.last, begun, self._motor(theta), law,
-            warm, change, out,
+            warm, change,
         )  # fmt: skip
+        if self._extra is None:
+            winding.simulate(*given, out)
+        else:
+            winding.simulate_pushed(*given, *self._extra.over(self._inertia(theta), record), out)
         return out
 
     def _warm(self, theta: FloatArray, record: Record) -> FloatArray:

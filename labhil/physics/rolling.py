@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from labhil.compiled import compiled
+from labhil.physics.extra_force import Beyond
 from labhil.signals import FloatArray, IntArray
 
 (
@@ -38,6 +39,11 @@ from labhil.signals import FloatArray, IntArray
     HARDENING,
 ) = range(15)
 SIZE = 15
+"""Strengths; what follows them describes one more force, see :func:`with_force`."""
+
+ACTS, LOW, PER_UNIT, WIDTH = range(SIZE, SIZE + 4)
+TABLE = SIZE + 4
+"""Where the curve's values begin; a course is in their place where the force has no curve."""
 
 
 class Crank(NamedTuple):
@@ -71,6 +77,44 @@ def lever(angle: float, ratio: float) -> float:
     return ratio * np.cos(angle) / np.sqrt(max(1.0 - sine * sine, 1e-6))
 
 
+def with_force(k: FloatArray, beyond: Beyond, along: FloatArray) -> FloatArray:
+    """Strengths ``k`` (15,) with one more force behind them: a curve, or a course (n,), over the mass."""
+    head = [float(beyond.over), beyond.low, beyond.per_unit, beyond.width]
+    return np.concatenate([k, head, beyond.values if beyond.over else along])
+
+
+@compiled
+def curve(x: float, k: FloatArray) -> float:
+    """The curve at ``x``: straight between its nodes, constant outside, m/s²."""
+    place = (x - k[LOW]) * k[PER_UNIT]
+    last = k.size - TABLE - 1
+    if not place > 0.0:
+        return k[TABLE]
+    if place >= last:
+        return k[TABLE + last]
+    i = int(place)
+    share = place - i
+    return (1.0 - share) * k[TABLE + i] + share * k[TABLE + i + 1]
+
+
+@compiled
+def pushes(x: float, v: float, k: FloatArray) -> float:
+    """What the curve adds along the beam, m/s²."""
+    if k[ACTS] == 1.0:
+        return curve(x, k)
+    if k[ACTS] == 3.0:
+        return curve(v, k)
+    return -v * curve(x, k) if k[ACTS] == 5.0 else 0.0
+
+
+@compiled
+def rubs(x: float, v: float, k: FloatArray) -> float:
+    """What the curve adds to dry friction, m/s²."""
+    if k[ACTS] == 2.0:
+        return curve(x, k)
+    return curve(abs(v), k) if k[ACTS] == 4.0 else 0.0
+
+
 @compiled
 def drive(x: float, sine: float, rate: float, turn: float, k: FloatArray) -> float:
     """Acceleration by everything but friction, m/s²; ``rate`` is β̇ and ``turn`` is β̈."""
@@ -87,6 +131,8 @@ def drive(x: float, sine: float, rate: float, turn: float, k: FloatArray) -> flo
 def hold(x: float, k: FloatArray) -> float:
     """Largest drive either way against which the ball stays at rest, m/s²; never negative."""
     level = k[COULOMB] + k[STRIBECK] + k[STATIC] + k[DRY_SLOPE] * x
+    if k.size > SIZE:
+        level += rubs(x, 0.0, k)
     return max(level, 0.0)
 
 
@@ -98,6 +144,8 @@ def friction(x: float, v: float, side: float, k: FloatArray) -> float:
     if k[STRIBECK] != 0.0 and speed < NARROW * k[STRIBECK_VELOCITY]:
         dry += k[STRIBECK] * np.exp(-speed / k[STRIBECK_VELOCITY])
     viscous = v * (k[VISCOUS] + k[QUADRATIC] * speed + k[CUBIC] * v * v) + k[ASYMMETRIC_VISCOUS] * speed
+    if k.size > SIZE:
+        return side * (dry + rubs(x, v, k)) + viscous - pushes(x, v, k)
     return side * dry + viscous
 
 
@@ -136,6 +184,8 @@ def step_length(v: float, pull: float, k: FloatArray) -> float:
         width = k[STRIBECK_VELOCITY]
         stiffness += abs(k[STRIBECK]) / (width * (1.0 + speed * speed / (width * width)))
         h = min(h, 0.5 * (width + 0.25 * speed) / (abs(pull) + 1e-9))
+    if k.size > SIZE and k[ACTS] != 0.0:
+        h = min(h, k[WIDTH] / ((abs(pull) if 3.0 <= k[ACTS] <= 4.0 else speed) + 1e-9))
     return max(min(h, 0.5 / (stiffness + 1e-9)), SHORTEST_STEP)
 
 
@@ -170,6 +220,8 @@ def time_to_break_away(x: float, crank: Crank, t: float, k: FloatArray) -> tuple
     """
     sine, rate, turn = beam(crank, t)
     now = drive(x, sine, rate, turn, k)
+    if k.size > SIZE:
+        now += pushes(x, 0.0, k)
     growth = k[GRAVITY] * crank.ratio * np.cos(crank.angle + t * crank.turning) * crank.turning
     level = hold(x, k)
     if now > level:
@@ -241,6 +293,9 @@ def simulate(
     at a node, so nothing jumps when a delay moves nodes across the first sample.
     """
     row = 0
+    given = k.size > SIZE and k[ACTS] == 0.0
+    constant = k[CONSTANT]
+    k = k.copy() if given else k
     for w in range(first.size):
         now = t[first[w]]
         node = np.searchsorted(node_t, now, side="right")
@@ -252,6 +307,8 @@ def simulate(
         row += 1
         for i in range(first[w], last[w] - 1):
             end = t[i + 1]
+            if given:
+                k[CONSTANT] = constant + k[TABLE + i]
             while now < end:
                 until = min(end, node_t[node]) if node < node_t.size else end
                 x, v, side = advance(x, v, side, crank, now - began, until - began, k)

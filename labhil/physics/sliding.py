@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from labhil.compiled import compiled
+from labhil.physics.extra_force import Beyond, Pushed, PushedCourse, with_extra
 from labhil.physics.friction import RESOLVED, Law, friction, hold, law_of, pace, thinned
 from labhil.physics.stick_slip import TINY, Follows, Laws, Motion, Stops, integrator
 from labhil.signals import FloatArray, IntArray
@@ -154,7 +155,9 @@ def longest(
     return max(size, finest)
 
 
-run = integrator(Laws(pull, target, follow, settled, grip, longest, at))
+LAWS = Laws(pull, target, follow, settled, grip, longest, at)
+run = integrator(LAWS)
+run_pushed = integrator(with_extra(LAWS))
 
 
 @compiled
@@ -203,3 +206,29 @@ def simulate(
     stops = Stops(p.low, p.high, p.restitution)
     course = Course(viscous_change, slider)
     run(t, node_t, values, first, last, begun, stops, slider, course, out)
+
+
+@compiled
+def simulate_pushed(
+    t: FloatArray,
+    node_t: FloatArray,
+    values: FloatArray,
+    first: IntArray,
+    last: IntArray,
+    states: FloatArray,
+    c: FloatArray,
+    p: Part,
+    f: FloatArray,
+    viscous_change: FloatArray,
+    beyond: Beyond,
+    along: FloatArray,
+    out: FloatArray,
+) -> None:
+    """:func:`simulate` under one more force: ``beyond`` a curve, ``along`` (n,) a course, over the mass."""
+    begun = np.zeros((first.size, 3))
+    for w in range(first.size):
+        begun[w, 0], begun[w, 1] = states[w, 0], states[w, 1]
+    slider = Slider(p, table_of(c), law_of(f))
+    stops = Stops(p.low, p.high, p.restitution)
+    course = PushedCourse(Course(viscous_change, slider), along)
+    run_pushed(t, node_t, values, first, last, begun, stops, Pushed(slider, beyond), course, out)

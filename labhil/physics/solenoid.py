@@ -8,6 +8,7 @@ act between the current and the force.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -16,6 +17,7 @@ import numpy as np
 from labhil.errors import RigFileError
 from labhil.physics import input_path, sliding
 from labhil.physics.driven import DrivenPath
+from labhil.physics.extra_force import ExtraForce
 from labhil.physics.friction_terms import friction_terms, load_dependent_friction
 from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.path_terms import input_terms, offset_term, output_terms
@@ -149,6 +151,10 @@ class SolenoidModel:
     metric = Metric.WINDOWED_SIMULATION
     forgets = True
     state_names = ("plunger_position", "plunger_velocity")
+    force_unit = "N"
+    moves_by = ("plunger_position", "plunger_velocity")
+    turn = 0.0
+    _extra: ExtraForce | None = None
     never_seen: Mapping[str, str] = {
         "motional_emf": "the current is measured: a voltage that the motion induces changes nothing else"
     }
@@ -176,6 +182,12 @@ class SolenoidModel:
         natural = np.sqrt(self.fixed.get("spring_stiffness", TYPICAL_STIFFNESS) / TYPICAL_MASS)
         self.horizon = float(self._stated or max(PERIODS * 2.0 * np.pi / natural, 0.1))
         self._path = DrivenPath()
+
+    def with_force(self, force: ExtraForce) -> SolenoidModel:
+        """The same solenoid under one more force on the plunger, N."""
+        other = copy.copy(self)
+        other._extra = force
+        return other
 
     @staticmethod
     def _strongest(record: Record | None) -> float:
@@ -294,8 +306,12 @@ class SolenoidModel:
         nodes, current = self._field(theta, record)
         mass = self._values.of(theta, "moving_mass")
         out = np.empty((len(windows.rows), 3))
-        sliding.simulate(
+        given = (
             record.t, nodes, current, windows.first, windows.last, states, self.map / mass,
-            self._part(theta), self._values.friction_law(theta, mass), np.ones(len(record)), out,
+            self._part(theta), self._values.friction_law(theta, mass), np.ones(len(record)),
         )  # fmt: skip
+        if self._extra is None:
+            sliding.simulate(*given, out)
+        else:
+            sliding.simulate_pushed(*given, *self._extra.over(mass, record), out)
         return out[:, :2]

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from labhil.compiled import compiled
+from labhil.physics.extra_force import Beyond, Pushed, PushedCourse, with_extra
 from labhil.physics.friction import RESOLVED, Law, friction, hold, law_of, pace, thinned
 from labhil.physics.stick_slip import FINEST, NO_STOPS, TINY, Follows, Laws, Motion, integrator
 from labhil.signals import FloatArray, IntArray
@@ -152,7 +153,9 @@ def longest(
     return min(size, FIRST_SHARE / how.rate * np.exp(min(since * how.rate / FADES, 50.0)) * off**-0.2)
 
 
-run = integrator(Laws(pull, target, follow, settled, grip, longest, at))
+LAWS = Laws(pull, target, follow, settled, grip, longest, at)
+run = integrator(LAWS)
+run_pushed = integrator(with_extra(LAWS))
 
 
 @compiled
@@ -193,5 +196,32 @@ def simulate(
     cold = Rotor(m, m.resistance, law_of(f))
     course = Course(warm, viscous_change, cold)
     run(t, node_t, voltage, first, last, begun, NO_STOPS, cold, course, out)
+    for row in range(out.shape[0]):
+        out[row, 0], out[row, 1], out[row, 2] = out[row, 1], out[row, 2], out[row, 0]
+
+
+@compiled
+def simulate_pushed(
+    t: FloatArray,
+    node_t: FloatArray,
+    voltage: FloatArray,
+    first: IntArray,
+    last: IntArray,
+    states: FloatArray,
+    m: Motor,
+    f: FloatArray,
+    warm: FloatArray,
+    viscous_change: FloatArray,
+    beyond: Beyond,
+    along: FloatArray,
+    out: FloatArray,
+) -> None:
+    """:func:`simulate` under one more torque: ``beyond`` a curve, ``along`` (n,) a course, over inertia."""
+    begun = np.empty_like(states)
+    for w in range(first.size):
+        begun[w, 0], begun[w, 1], begun[w, 2] = states[w, 2], states[w, 0], states[w, 1]
+    cold = Rotor(m, m.resistance, law_of(f))
+    course = PushedCourse(Course(warm, viscous_change, cold), along)
+    run_pushed(t, node_t, voltage, first, last, begun, NO_STOPS, Pushed(cold, beyond), course, out)
     for row in range(out.shape[0]):
         out[row, 0], out[row, 1], out[row, 2] = out[row, 1], out[row, 2], out[row, 0]

@@ -1,0 +1,238 @@
+"""What no named term explains: over which coordinate it acts, its curve, and what that is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from labhil.diagnose.closed_forms import closed_form
+from labhil.diagnose.evidence import Evidence, heldout_gain
+from labhil.diagnose.search import ALPHA, NEEDED_BIC, Data
+from labhil.identify.curve import (
+    Band,
+    Curved,
+    band,
+    criterion,
+    gauged,
+    glance,
+    handed_over,
+    length_of,
+    lengthened,
+    refined,
+    shortened,
+    worth,
+)
+from labhil.identify.extended import NAME, Coordinate
+from labhil.identify.fitted import Fitted
+from labhil.identify.score import Score, score
+from labhil.identify.windows import fit_windows
+from labhil.physics.extra_force import Over, Yielding
+from labhil.physics.model import Model
+from labhil.signals import FloatArray
+
+REACHED = 1.05
+"""A model whose errors are at most this much above the noise has nothing left to explain."""
+
+REFINED = 3
+"""How many coordinates are looked at by the simulation itself."""
+
+ITERATIONS = 6
+
+MODERATE = 2.0
+"""Errors, in units of the noise, up to which one linear step tells coordinates apart."""
+
+SHORTER = (0.5, 0.25, 0.125)
+"""Lengths of windows, over those of the fit, by way of which a strong effect is approached."""
+
+WAYS: Mapping[Over, str] = {
+    Over.POSITION_AGAINST: "dry friction",
+    Over.SPEED_AGAINST: "friction",
+    Over.DAMPING: "viscous friction",
+}
+
+BEHIND = 30.0
+"""By which a rival's criterion may be worse on shorter windows."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unmodelled:
+    """A force that no named term explains.
+
+    ``depends_on`` are the coordinates; the curve has the values ``value`` (m,) in ``unit`` at the places
+    ``x`` (m,) of the first of them, with a pointwise 99 % band ``low`` … ``high``. By ``acts`` it is a force
+    along the positive direction, or the level of a friction (−value·sgn v), or a damping (−value·v).
+    ``model`` and ``fit`` have it in them; ``before`` and ``after`` are held-out scores; ``share`` is what of
+    the mismatch it explains there, (mse_before − mse_after)/(mse_before − floor²). ``degrees`` are the
+    effective degrees of freedom of the whole fit.
+    """
+
+    term: str
+    enters: str
+    depends_on: tuple[str, ...]
+    acts: Over
+    x: FloatArray
+    value: FloatArray
+    low: FloatArray
+    high: FloatArray
+    unit: str
+    x_unit: str
+    formula: str | None
+    statement: str
+    evidence: Evidence
+    model: Model
+    fit: Fitted
+    before: Score
+    after: Score
+    share: float
+    degrees: float
+
+
+def unmodelled(data: Data, final: Fitted) -> Unmodelled | None:
+    """The force over one coordinate that brings a fitted model closest to the data; None if none does.
+
+    It has to be supported by the search data and by the held-out ones. The model must take a force.
+    """
+    model = final.problem.model
+    if not isinstance(model, Yielding):
+        return None
+    judged = data.judge(final.theta)
+    if max(final.noise, judged.rmse / judged.noise_floor) < REACHED:
+        return None
+    chosen = _best(final, model)
+    if chosen is None:
+        return None
+    evidence = _evidence(data, final, judged, chosen)
+    if not (
+        evidence.delta_bic < NEEDED_BIC and evidence.heldout_loglik_gain > 0 and evidence.p_value < ALPHA
+    ):
+        return None
+    return _answer(data, final, chosen, evidence)
+
+
+def coordinates_of(model: Yielding) -> list[Coordinate]:
+    """Everything that a force may be a function of, with and without the sign of velocity."""
+    position, velocity = model.moves_by
+    units = model.coordinate_units
+    found = []
+    if position:
+        found += [
+            Coordinate(position, units[position], acts, model.turn)
+            for acts in (Over.POSITION, Over.POSITION_AGAINST, Over.DAMPING)
+        ]
+    found += [Coordinate(velocity, units[velocity], acts) for acts in (Over.VELOCITY, Over.SPEED_AGAINST)]
+    return found
+
+
+def _given(final: Fitted) -> list[Coordinate]:
+    """Inputs and their rates, which the record gives."""
+    model, record = final.problem.model, final.problem.record
+    names = {f"{name}{rate}" for name in record.input_names for rate in ("", "_rate")}
+    return [Coordinate(n, unit, Over.TIME) for n, unit in model.coordinate_units.items() if n in names]
+
+
+def _best(final: Fitted, model: Yielding) -> Curved | None:
+    """The curve with the least criterion, of all coordinates that vary.
+
+    Glances are on windows so short that even a strong effect is nearly a linear one.
+    """
+    begun, longer = _begun(final)
+    problem = begun.problem
+    along = model.coordinates(begun.theta, problem.record, problem.windows, begun.solution.point.states)
+    possible = [(c, c.of(along)) for c in coordinates_of(model) + _given(final)]
+    looks = [glance(begun, coordinate, values) for coordinate, values in possible if np.ptp(values) > 0.0]
+    if not looks:
+        return None
+    effective = _worth(looks)
+    looks.sort(key=lambda look: criterion(look, effective))
+    trials = _leading([refined(look, ITERATIONS) for look in looks[:REFINED]])
+    for length in longer:
+        windows = fit_windows(problem.record, length)
+        trials = _leading([lengthened(trial, windows, ITERATIONS) for trial in trials])
+    return gauged(trials[0])
+
+
+def _begun(final: Fitted) -> tuple[Fitted, tuple[float, ...]]:
+    """The fit on the longest windows on which its errors are moderate, and the lengths (s) back."""
+    begun = final
+    longer: tuple[float, ...] = ()
+    for share in SHORTER:
+        if begun.noise < MODERATE:
+            break
+        longer = (length_of(begun), *longer)
+        begun = shortened(final, share)
+    return begun, longer
+
+
+def _leading(trials: Sequence[Curved]) -> list[Curved]:
+    """Those that the best one does not leave far behind, best first."""
+    effective = _worth(trials)
+    marks = [criterion(trial, effective) for trial in trials]
+    return [trials[i] for i in np.argsort(marks) if marks[i] < min(marks) + BEHIND]
+
+
+def _worth(trials: Sequence[Curved]) -> float:
+    """Samples that count: of the fit with the least residuals, for those of a bad one are all alike."""
+    return worth(min(trials, key=lambda trial: trial.fitted.solution.cost))
+
+
+def _evidence(data: Data, final: Fitted, before: Score, chosen: Curved) -> Evidence:
+    effective = worth(chosen)
+    power = float(np.mean(final.solution.residuals**2))
+    without = effective * np.log(power) + len(final.problem.free) * np.log(effective)
+    after = judged(data, chosen.model, chosen.fitted.theta, before)
+    gain, p_value = heldout_gain(before, after)
+    return Evidence(criterion(chosen, effective) - float(without), p_value, gain)
+
+
+def judged(data: Data, model: Model, theta: FloatArray, like: Score) -> Score:
+    """Score another model on the held-out windows of a score."""
+    return score(model, theta, data.test, data.test_sigma, like.horizon)
+
+
+def _answer(data: Data, final: Fitted, chosen: Curved, evidence: Evidence) -> Unmodelled:
+    horizon = data.model.horizon_at(final.theta)
+    before = score(data.model, final.theta, data.test, data.test_sigma, horizon)
+    after = score(chosen.model, chosen.fitted.theta, data.test, data.test_sigma, horizon)
+    coordinate = chosen.model.coordinate
+    curve = band(chosen)
+    unit = chosen.model.coefficients[0].unit
+    velocity = chosen.model.inner.moves_by[1]
+    also = (velocity,) if coordinate.acts in (Over.POSITION_AGAINST, Over.DAMPING) else ()
+    excess = before.mse - after.noise_floor**2
+    return Unmodelled(
+        term=NAME,
+        enters="force",
+        depends_on=(coordinate.name, *also),
+        acts=coordinate.acts,
+        x=curve.x,
+        value=curve.value,
+        low=curve.value - curve.reach,
+        high=curve.value + curve.reach,
+        unit=unit,
+        x_unit=coordinate.unit,
+        formula=closed_form(curve.x, curve.value, curve.covariance, curve.reach),
+        statement=_statement(chosen, curve, unit),
+        evidence=evidence,
+        model=chosen.model,
+        fit=chosen.fitted,
+        before=before,
+        after=after,
+        share=float((before.mse - after.mse) / excess) if excess > 0.0 else 0.0,
+        degrees=chosen.degrees,
+    )
+
+
+def _statement(chosen: Curved, curve: Band, unit: str) -> str:
+    """One or two sentences: over what, which way, how strong and where."""
+    coordinate = chosen.model.coordinate
+    most = int(np.argmax(np.abs(curve.value)))
+    way = WAYS.get(coordinate.acts, "a force")
+    text = (
+        f"Something that no named effect explains acts as {way} that depends on {coordinate.name}: "
+        f"{curve.value[most]:.3g} {unit} where it is strongest, at {curve.x[most]:.3g} {coordinate.unit}."
+    )
+    if handed_over(chosen):
+        text += " It is zero where it is quietest: the model's own parameters can stand for the rest."
+    return text.replace("-", "−")

@@ -1,0 +1,260 @@
+"""A curve in a model: its spline fitted beside the model's own parameters, its smoothness, its band."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import stats
+
+from labhil.diagnose.evidence import independent
+from labhil.identify.extended import NAME, Coordinate, ExtendedModel
+from labhil.identify.fitted import Fitted
+from labhil.identify.least_squares import Solution, fit_states
+from labhil.identify.penalised import Projected, minimise
+from labhil.identify.problem import Point, Problem
+from labhil.identify.spline import Spline
+from labhil.identify.windows import fit_windows
+from labhil.physics.extra_force import Over, Yielding
+from labhil.physics.model import Windows
+from labhil.physics.terms import Yardstick
+from labhil.signals import FloatArray
+
+FUNCTIONS = 24
+"""Of the spline: more than any curve that is smooth to the eye needs; the penalty takes the rest."""
+
+SMOOTHING = np.logspace(-6.0, 6.0, 13)
+"""Weights of the penalty that are tried, over the one at which data and penalty say as much."""
+
+SIZE = 0.1
+"""Share of the drive's force that is taken for a typical size."""
+
+WIDEST = 0.01
+"""Weight of the prior that keeps coefficients within some ten sizes: it decides only what data do not."""
+
+SAME = 1e-3
+"""Share of its square that a shape keeps beside the model's own parameters when these can stand for it."""
+
+NO_WORSE = 1.01
+"""Growth of the cost up to which a shape is handed over to the model's own parameters."""
+
+REWEIGHTED = 60
+LEVEL = 0.99
+PLACES = 101
+
+
+@dataclass(frozen=True, slots=True)
+class Curved:
+    """A fit with a curve in it.
+
+    ``penalty`` (P, P) in units of the scales; ``near`` the linearised model at its end; ``kept`` (K, K)
+    takes from coefficients what the model's own parameters can stand for; ``along`` (N,) the coordinate
+    where the data are; ``degrees`` the effective number of free parameters.
+    """
+
+    fitted: Fitted
+    model: ExtendedModel
+    penalty: FloatArray
+    near: Projected
+    degrees: float
+    along: FloatArray
+    free: FloatArray
+
+    @property
+    def coefficients(self) -> FloatArray:
+        """Of the spline, in the unit of the force, (K,)."""
+        return self.model.split(self.fitted.theta)[1]
+
+
+def shortened(final: Fitted, share: float) -> Fitted:
+    """The same values on windows that are shorter by so much, each with the state that fits it best."""
+    old = final.problem
+    windows = fit_windows(old.record, share * length_of(final))
+    problem = Problem(old.model, old.record, windows, old.free, final.theta, old.sigma)
+    z = problem.start().z
+    states = fit_states(problem, z, problem.guess)
+    point = Point(z, states)
+    residuals = problem.residuals(point)
+    return replace(final, problem=problem, solution=Solution(point, residuals, 0, True), rivals=())
+
+
+def length_of(fitted: Fitted) -> float:
+    """Mean length of a fit's windows, s."""
+    record, windows = fitted.problem.record, fitted.problem.windows
+    return float(record.t[-1] - record.t[0]) / len(windows)
+
+
+def glance(begun: Fitted, coordinate: Coordinate, along: FloatArray) -> Curved:
+    """The curve that one linear step from a model's fit gives, with the smoothness that predicts best.
+
+    ``along`` (N,) is the coordinate where the data are.
+    """
+    inner = begun.problem.model
+    assert isinstance(inner, Yielding)
+    old = begun.problem
+    measure = inner.yardsticks(old.record)
+    speed = measure[Yardstick.SPEED] if coordinate.acts is Over.DAMPING else 1.0
+    size = SIZE * measure[Yardstick.DRIVE] / speed
+    model = ExtendedModel(inner, coordinate, Spline.of(along, FUNCTIONS), size)
+    own = len(inner.parameters)
+    free = np.r_[old.free, own + np.arange(model.spline.count)]
+    theta = np.r_[begun.theta, np.zeros(model.spline.count)]
+    problem = Problem(model, old.record, old.windows, free, theta, old.sigma)
+    point = Point(problem.start().z, begun.solution.point.states)
+    near, _ = Projected.at(problem, point, begun.solution.residuals)
+    penalty = _smoothest(near, model)
+    z = near.solve(penalty)
+    solution = replace(begun.solution, point=replace(point, z=z), residuals=near.left(z))
+    fitted = Fitted((*begun.terms, NAME), problem.theta(z), problem, solution)
+    kept = np.eye(model.spline.count)
+    return Curved(fitted, model, penalty, near, near.degrees(penalty), along, kept)
+
+
+def _smoothest(near: Projected, model: ExtendedModel) -> FloatArray:
+    """The penalty (P, P) under which windows are predicted best that had no part in the estimate."""
+    penalties = [_penalty(near, model, weight) for weight in SMOOTHING]
+    return penalties[int(np.argmin(near.crossed(penalties)))]
+
+
+def _penalty(near: Projected, model: ExtendedModel, weight: float) -> FloatArray:
+    count = model.spline.count
+    slopes = near.slopes[:, -count:]
+    rough = model.spline.roughness
+    even = float(np.sum(slopes**2)) / max(float(np.trace(rough)), 1e-300)
+    penalty = np.zeros((near.slopes.shape[1],) * 2)
+    penalty[-count:, -count:] = weight * even * rough + WIDEST * np.eye(count)
+    return penalty
+
+
+def refined(glanced: Curved, iterations: int) -> Curved:
+    """The same curve by the simulation itself, its smoothness chosen anew where that ends."""
+    # from where the fit without the curve ended: a linear step may be too long
+    start = replace(glanced.fitted.solution.point, z=glanced.near.z)
+    return _minimised(_minimised(glanced, start, iterations), None, iterations)
+
+
+def lengthened(curved: Curved, windows: Windows, iterations: int) -> Curved:
+    """The same curve refitted on longer windows."""
+    old = curved.fitted.problem
+    problem = Problem(curved.model, old.record, windows, old.free, curved.fitted.theta, old.sigma)
+    z = curved.fitted.solution.point.z
+    start = Point(z, fit_states(problem, z, problem.guess))
+    onward = replace(curved, fitted=replace(curved.fitted, problem=problem))
+    return _minimised(onward, start, iterations)
+
+
+def _minimised(curved: Curved, start: Point | None, iterations: int) -> Curved:
+    problem, fitted = curved.fitted.problem, curved.fitted
+    solution = minimise(problem, start or fitted.solution.point, curved.penalty, iterations)
+    near, _ = Projected.at(problem, solution.point, solution.residuals)
+    penalty = _smoothest(near, curved.model)
+    fitted = replace(fitted, theta=problem.theta(solution.point.z), solution=solution)
+    return replace(curved, fitted=fitted, penalty=penalty, near=near, degrees=near.degrees(penalty))
+
+
+def criterion(curved: Curved, effective: float) -> float:
+    """Schwarz's criterion with the effective degrees of freedom of the smoothed curve."""
+    residuals = curved.fitted.solution.residuals.reshape(-1, len(curved.fitted.problem.sigma))
+    power = np.maximum(np.mean(residuals**2, axis=0), 1e-300)
+    return float(effective * np.mean(np.log(power)) + curved.degrees * np.log(effective))
+
+
+def worth(curved: Curved) -> float:
+    """How many independent residuals those of the fit are worth."""
+    return independent(curved.fitted.solution.residuals.reshape(-1, len(curved.fitted.problem.sigma)))
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """Places ``x`` (m,), the curve there, its covariance (m, m), and half of its pointwise 99 % band (m,)."""
+
+    x: FloatArray
+    value: FloatArray
+    covariance: FloatArray
+    reach: FloatArray
+
+
+def band(curved: Curved) -> Band:
+    """The curve over the visited range, in the units of coordinate and force."""
+    spline = curved.model.spline
+    design = spline.on(PLACES)
+    spread = design @ covariance(curved) @ design.T
+    reach = stats.norm.ppf(0.5 + 0.5 * LEVEL) * np.sqrt(np.maximum(np.diag(spread), 0.0))
+    x = np.linspace(spline.low, spline.high, PLACES)
+    return Band(x, design @ curved.coefficients, spread, np.asarray(reach))
+
+
+def handed_over(curved: Curved) -> bool:
+    """Whether the model's own parameters hold a constant or a straight line of the curve."""
+    return not np.array_equal(curved.free, np.eye(len(curved.free)))
+
+
+def covariance(curved: Curved) -> FloatArray:
+    """Of the spline's coefficients less what the model's own parameters can stand for, (K, K)."""
+    fitted, count = curved.fitted, curved.model.spline.count
+    dof = len(fitted.solution.residuals) - curved.degrees - fitted.solution.point.states.size
+    whole = curved.near.covariance(curved.penalty, max(dof, 1.0), len(fitted.problem.sigma))
+    size = curved.model.coefficients[0].scale
+    return np.asarray(curved.free @ whole[-count:, -count:] @ curved.free.T) * size**2
+
+
+def _shapes(curved: Curved) -> FloatArray:
+    """Coefficients (K, q) of those of a constant and a straight line that the model's own terms can be."""
+    spline = curved.model.spline
+    count = spline.count
+    own, curve = curved.near.slopes[:, :-count], curved.near.slopes[:, -count:]
+    basis, _ = np.linalg.qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300))
+    greville = np.array([spline.knots[k + 1 : k + 4].mean() for k in range(count)])
+    line = (greville - greville.mean()) / np.ptp(greville)
+    found = []
+    for shape in (np.ones(count), line):
+        column = curve @ shape
+        left = column - basis @ (basis.T @ column)
+        if left @ left < SAME * (column @ column):
+            found.append(shape)
+    return np.column_stack(found) if found else np.empty((count, 0))
+
+
+def _quiet(values: FloatArray, shapes: FloatArray) -> np.ndarray:
+    """Marks (m,) the half of the range where values (m,) lie closest to a sum of shapes (m, q)."""
+    weight = np.ones(len(values))
+    for _ in range(REWEIGHTED):
+        # least absolute deviations: what sticks out does not move the rest
+        scaled = shapes * weight[:, None]
+        level = np.linalg.solve(scaled.T @ shapes, scaled.T @ values)
+        off = np.abs(values - shapes @ level)
+        weight = 1.0 / np.maximum(off, 1e-6 * max(float(off.max()), 1e-300))
+    return np.asarray(off <= np.median(off))
+
+
+def _freed(curved: Curved) -> FloatArray:
+    """What takes from coefficients the shapes that are not the curve's own, (K, K).
+
+    Where the model's own constant force can stand for the same, the curve is zero where it is quietest.
+    """
+    spline, shapes = curved.model.spline, _shapes(curved)
+    if not shapes.shape[1]:
+        return np.eye(spline.count)
+    design = spline.on(PLACES)
+    places = design @ shapes
+    quiet = _quiet(design @ curved.coefficients, places)
+    share = np.linalg.solve(places[quiet].T @ places[quiet], places[quiet].T @ design[quiet])
+    return np.asarray(np.eye(spline.count) - shapes @ share)
+
+
+def gauged(curved: Curved) -> Curved:
+    """The same fit with that part of the curve in the model's own parameters that these can stand for."""
+    count, fitted = curved.model.spline.count, curved.fitted
+    free, z = _freed(curved), fitted.solution.point.z
+    taken = z[-count:] - free @ z[-count:]
+    slopes = curved.near.slopes
+    own = np.linalg.lstsq(slopes[:, :-count], slopes[:, -count:] @ taken, rcond=None)[0]
+    problem = fitted.problem
+    moved = np.clip(z + np.r_[own, -taken], problem.lower, problem.upper)
+    point = replace(fitted.solution.point, z=moved)
+    solution = replace(fitted.solution, point=point, residuals=problem.residuals(point))
+    if solution.cost > NO_WORSE * fitted.solution.cost:
+        return curved
+    near = replace(curved.near, z=moved)
+    fitted = replace(fitted, theta=problem.theta(moved), solution=solution)
+    return replace(curved, fitted=fitted, near=near, free=free)

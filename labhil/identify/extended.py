@@ -1,0 +1,153 @@
+"""A model with one more force: a spline whose coefficients are parameters like all others."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labhil.identify.spline import Spline
+from labhil.physics.extra_force import ExtraForce, Over, Yielding
+from labhil.physics.model import Metric, Model, Record, Windows
+from labhil.physics.terms import Enters, Parameter, Term, Yardstick
+from labhil.signals import FloatArray
+
+NAME = "unmodelled_force"
+NODES = 513
+"""Places at which a kernel keeps the spline, straight in between."""
+
+STEP = 1e-2
+"""Difference, in scales, with which slopes by coefficients are taken: small ones drown where motion stops."""
+
+RESOLVED = 0.5
+"""Share of the narrowest stretch between knots that one step of a simulation may pass."""
+
+
+@dataclass(frozen=True, slots=True)
+class Coordinate:
+    """What the force is a function of.
+
+    ``name`` is the coordinate's, ``unit`` its unit; ``acts`` says which way; ``turn`` is the period of a
+    position that repeats (0: none).
+    """
+
+    name: str
+    unit: str
+    acts: Over
+    turn: float = 0.0
+
+    def force(self, curve: FloatArray, velocity: FloatArray) -> FloatArray:
+        """The force along the positive direction of values of the curve (N,) at velocities (N,)."""
+        if self.acts in (Over.POSITION_AGAINST, Over.SPEED_AGAINST):
+            return np.asarray(-curve * np.sign(velocity))
+        return np.asarray(-curve * velocity) if self.acts is Over.DAMPING else curve
+
+    def of(self, along: Mapping[str, FloatArray]) -> FloatArray:
+        """Its values where a model's coordinates are ``along``, (N,)."""
+        values = along[self.name]
+        if self.acts is Over.SPEED_AGAINST:
+            return np.abs(values)
+        return np.mod(values, self.turn) if self.turn else values
+
+    def of_record(self, record: Record) -> FloatArray:
+        """Its values along a record, (n,), where it is an input, an input's rate or time."""
+        if self.name in record.input_names:
+            return record.inputs[:, record.input_names.index(self.name)]
+        if self.name.removesuffix("_rate") in record.input_names:
+            column = record.input_names.index(self.name.removesuffix("_rate"))
+            return np.asarray(np.gradient(record.inputs[:, column], record.t))
+        return record.t if self.name == "time" else record.auxiliary[self.name]
+
+
+class ExtendedModel:
+    """A model under a force that is a spline of one coordinate (satisfies ``physics.model.Model``).
+
+    Its parameters are those of ``inner`` and after them the spline's coefficients; all else is the inner
+    model's. ``size`` is a typical value of the curve.
+    """
+
+    def __init__(self, inner: Yielding, coordinate: Coordinate, spline: Spline, size: float) -> None:
+        self.inner = inner
+        self.coordinate = coordinate
+        self.spline = spline
+        self.kind = inner.kind
+        self.state_names = inner.state_names
+        self.state_scale = inner.state_scale
+        self.fixed = inner.fixed
+        self.never_seen = inner.never_seen
+        self.metric: Metric = inner.metric
+        self.forgets = inner.forgets
+        self.horizon = inner.horizon
+        self.coordinate_units = inner.coordinate_units
+        per = f"/({inner.coordinate_units[inner.moves_by[1]]})" if coordinate.acts is Over.DAMPING else ""
+        self.coefficients = tuple(
+            Parameter(f"{NAME}.coefficient_{k}", inner.force_unit + per, size, step=STEP)
+            for k in range(spline.count)
+        )
+        forward = coordinate.acts in (Over.TIME, Over.POSITION, Over.VELOCITY)
+        direction = "" if forward else " against the motion"
+        term = Term(
+            NAME, Enters.FORCE, f"a force along {coordinate.name}{direction} that no named effect explains",
+            f"F = f({coordinate.name})", "estimated: a penalised spline (Eilers and Marx 1996)",
+            f"motion over the whole range of {coordinate.name}", self.coefficients,
+        )  # fmt: skip
+        self.terms: Mapping[str, Term] = {**inner.terms, NAME: term}
+        self.parameters = (*inner.parameters, *self.coefficients)
+
+    def split(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The inner model's vector and the spline's coefficients (K,)."""
+        return theta[: -self.spline.count], theta[-self.spline.count :]
+
+    def horizon_at(self, theta: FloatArray) -> float:
+        """The inner model's, s."""
+        return self.inner.horizon_at(self.split(theta)[0])
+
+    def prepare(self, record: Record) -> Record:
+        """As the inner model does."""
+        return self.inner.prepare(record)
+
+    def initial_states(self, record: Record, windows: Windows) -> FloatArray:
+        """The inner model's, (w, states)."""
+        return self.inner.initial_states(record, windows)
+
+    def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
+        """Simulated outputs of all windows, (N, channels)."""
+        own, coefficients = self.split(theta)
+        return self._under(coefficients, record).simulate(own, record, windows, states)
+
+    def coordinates(
+        self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
+    ) -> Mapping[str, FloatArray]:
+        """Coordinates along the simulation under the force, each (N,)."""
+        own, coefficients = self.split(theta)
+        return self._under(coefficients, record).coordinates(own, record, windows, states)
+
+    def driven(
+        self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
+    ) -> Mapping[str, FloatArray]:
+        """The inner model's."""
+        return self.inner.driven(self.split(theta)[0], record, windows, along)
+
+    def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
+        """The inner model's force and the curve's, (N,)."""
+        own, coefficients = self.split(theta)
+        force = self.inner.effort(own, coordinates)
+        if self.coordinate.name not in coordinates:
+            return force
+        curve = self.spline.design(self.coordinate.of(coordinates)) @ coefficients
+        return np.asarray(force + self.coordinate.force(curve, coordinates[self.inner.moves_by[1]]))
+
+    def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
+        """The inner model's."""
+        return self.inner.yardsticks(record)
+
+    def _under(self, coefficients: FloatArray, record: Record) -> Model:
+        """The inner model under the force that these coefficients make of the record."""
+        spline, acts = self.spline, self.coordinate.acts
+        grid = np.linspace(spline.low, spline.high, NODES)
+        force = ExtraForce(acts, grid, grid, RESOLVED * spline.narrowest, turn=self.coordinate.turn)
+        if acts is Over.TIME:
+            course = spline.design(self.coordinate.of_record(record)) @ coefficients
+            return self.inner.with_force(replace(force, course=course))
+        return self.inner.with_force(replace(force, values=spline.on(NODES) @ coefficients))

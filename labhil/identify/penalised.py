@@ -1,0 +1,146 @@
+"""Least squares with a quadratic penalty: smooth curves estimated together with a model's parameters.
+
+Minimises |r(z)|² + zᵀΠz, r in units of noise. The estimate's covariance
+
+    C = H⁻¹ · (S + σ̂²·Π) · H⁻¹,   H = JᵀJ + Π,
+
+has in S the long-run variance of the scores (``identify.statistics``: residuals may be correlated in time)
+and in σ̂²Π what smoothing may have taken away. With white residuals it is Wahba's (1983) σ̂²·H⁻¹, whose
+pointwise bands cover on the average over the curve.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from labhil.identify.least_squares import Solution, polish_states
+from labhil.identify.problem import Linearised, Point, Problem
+from labhil.identify.statistics import long_run_variance, modelled_variance
+from labhil.signals import FloatArray, IntArray
+
+HALVINGS = 4
+TOLERANCE = 1e-4
+FOLDS = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Projected:
+    """Residuals (N,) and slopes (N, P) at a point ``z`` (P,), without what the windows' states explain.
+
+    ``owner`` (N,) is the window of each row.
+    """
+
+    z: FloatArray
+    residuals: FloatArray
+    slopes: FloatArray
+    owner: IntArray
+
+    @classmethod
+    def at(cls, problem: Problem, point: Point, residuals: FloatArray) -> tuple[Projected, Linearised]:
+        """Linearise a problem."""
+        lin = problem.linearise(point, residuals)
+        both = problem.project(lin, np.column_stack([lin.by_parameters, residuals]))
+        return cls(point.z, both[:, -1], both[:, :-1], problem.owner), lin
+
+    def solve(self, penalty: FloatArray) -> FloatArray:
+        """The ``z`` (P,) at which the linearised, penalised cost is least."""
+        normal = self.slopes.T @ self.slopes
+        right = self.slopes.T @ (self.slopes @ self.z - self.residuals)
+        return np.asarray(np.linalg.solve(normal + penalty + _least(normal), right))
+
+    def left(self, z: FloatArray) -> FloatArray:
+        """Residuals (N,) that the linearised model has at ``z``."""
+        return np.asarray(self.residuals + self.slopes @ (z - self.z))
+
+    def degrees(self, penalty: FloatArray) -> float:
+        """Effective degrees of freedom, the trace of (JᵀJ + Π)⁻¹·JᵀJ (Hastie and Tibshirani 1990)."""
+        normal = self.slopes.T @ self.slopes
+        return float(np.trace(np.linalg.solve(normal + penalty, normal)))
+
+    def crossed(self, penalties: Sequence[FloatArray]) -> FloatArray:
+        """Squared residuals of windows that had no part in the estimate, in turn for a tenth of them.
+
+        One sum for each of the ``penalties``.
+        """
+        folds = min(FOLDS, int(self.owner.max()) + 1)
+        both = np.column_stack([self.slopes, self.residuals - self.slopes @ self.z])
+        parts = [rows.T @ rows for rows in (both[self.owner % folds == fold] for fold in range(folds))]
+        whole = np.sum(parts, axis=0)
+        totals = np.zeros(len(penalties))
+        for i, penalty in enumerate(penalties):
+            for part in parts:
+                seen = whole - part
+                normal = seen[:-1, :-1]
+                z = np.linalg.solve(normal + penalty + _least(normal), -seen[:-1, -1])
+                moved = np.r_[z, 1.0]
+                totals[i] += float(moved @ part @ moved)
+        return totals
+
+    def covariance(self, penalty: FloatArray, dof: float, channels: int) -> FloatArray:
+        """Covariance (P, P) of the estimate, in units of the parameters' scales."""
+        n = len(self.residuals)
+        inverse = np.linalg.inv(self.slopes.T @ self.slopes + penalty)
+        power = float(self.residuals @ self.residuals) / dof
+        scores = (self.slopes * self.residuals[:, None]).reshape(n // channels, channels, -1).sum(axis=1)
+        classical = power * inverse
+        found = [long_run_variance(scores), modelled_variance(self.slopes, self.residuals, channels)]
+        spreads = [inverse @ (s * (n / dof) + power * penalty) @ inverse for s in found] + [classical]
+        widest = np.max([np.diag(spread) for spread in spreads], axis=0)
+        robust = spreads[0]
+        raised = np.sqrt(widest / np.maximum(np.diag(robust), 1e-300))
+        return np.asarray(robust * np.outer(raised, raised))
+
+
+def _least(normal: FloatArray) -> FloatArray:
+    """Enough on the diagonal that directions of which the data know nothing do no harm."""
+    return np.diag(1e-9 * np.diag(normal) + 1e-12 * max(float(np.diag(normal).max()), 1e-300))
+
+
+def minimise(problem: Problem, start: Point, penalty: FloatArray, iterations: int) -> Solution:
+    """Gauss and Newton's method on the penalised cost, with halved steps; ``penalty`` is (P, P)."""
+    point, residuals = start, problem.residuals(start)
+    for iteration in range(iterations):
+        cost = _cost(point.z, residuals, penalty)
+        found = _lower(problem, point, residuals, penalty)
+        if found is None:
+            return Solution(point, residuals, iteration, True)
+        point, residuals = found
+        if cost - _cost(point.z, residuals, penalty) < TOLERANCE * cost:
+            return Solution(point, residuals, iteration + 1, True)
+    return Solution(point, residuals, iterations, False)
+
+
+def _lower(
+    problem: Problem, point: Point, residuals: FloatArray, penalty: FloatArray
+) -> tuple[Point, FloatArray] | None:
+    """A point of lower cost on the way to the linearised minimum, with its residuals."""
+    near, lin = Projected.at(problem, point, residuals)
+    goal = near.solve(penalty)
+    cost = _cost(point.z, residuals, penalty)
+    for halving in range(HALVINGS):
+        z = np.clip(point.z + (goal - point.z) * 0.5**halving, problem.lower, problem.upper)
+        states = polish_states(problem, z, point.states, _followed(problem, lin, point, residuals, z))
+        trial = Point(z, states)
+        trial_residuals = problem.residuals(trial)
+        if _cost(z, trial_residuals, penalty) < cost:
+            return trial, trial_residuals
+    return None
+
+
+def _cost(z: FloatArray, residuals: FloatArray, penalty: FloatArray) -> float:
+    return float(residuals @ residuals + z @ penalty @ z)
+
+
+def _followed(
+    problem: Problem, lin: Linearised, point: Point, residuals: FloatArray, z: FloatArray
+) -> FloatArray:
+    """The windows' states (W, S) that the linearised model has best at ``z``."""
+    if not point.states.shape[1]:
+        return point.states
+    moved = residuals + lin.by_parameters @ (z - point.z)
+    pull = problem.per_window(lin.by_states * moved[:, None])
+    step = np.linalg.solve(problem.state_gram(lin.by_states), pull[:, :, None])[:, :, 0]
+    return np.asarray(point.states - step * problem.model.state_scale)

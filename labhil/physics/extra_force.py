@@ -1,0 +1,208 @@
+"""A force that no named term describes, beside a kernel's laws: a curve along the motion or a course.
+
+:func:`with_extra` makes of the laws of any moving part (see ``physics.stick_slip``) those of the same part
+under one more force, so a kernel without it stays what it is. A curve is a table over the part's own
+position or velocity while it is simulated, never over the measured ones: a force that knew the measurement
+would pull the simulation towards it (a stiff spring to the measured place explains any record).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
+
+import numpy as np
+
+from labhil.compiled import compiled, specialised
+from labhil.physics.model import Model, Record
+from labhil.physics.stick_slip import TINY, Course, Follows, Laws, Motion, Part
+from labhil.signals import FloatArray
+
+
+class Over(IntEnum):
+    """What a curve is a function of, and which way it acts."""
+
+    TIME = 0
+    """Nothing of the motion: an input, its rate, time itself. Acts along the positive direction."""
+    POSITION = 1
+    """Acts along the positive direction."""
+    POSITION_AGAINST = 2
+    """Acts against the motion, as dry friction, and adds to the hold at rest."""
+    VELOCITY = 3
+    """Acts along the positive direction."""
+    SPEED_AGAINST = 4
+    """A curve over the size of velocity, which acts against the motion; at zero it adds to the hold."""
+    DAMPING = 5
+    """A curve over position times the velocity, against the motion."""
+
+
+class Beyond(NamedTuple):
+    """A force over the inertia as a kernel holds it.
+
+    ``values`` are those of the curve at ``low`` and every 1/``per_unit`` further on, straight in between and
+    constant outside; ``turn`` is the period of a position that repeats (0: it does not). ``width`` is how
+    far one step may go along the coordinate. ``course`` is the force from this sample to the next.
+    """
+
+    over: int
+    low: float
+    per_unit: float
+    turn: float
+    width: float
+    values: FloatArray
+    course: float
+
+
+@dataclass(frozen=True, slots=True)
+class ExtraForce:
+    """A generalised force (N, N·m, or per unit of mass where the model is) beside a model's own.
+
+    Either a curve over the simulated motion, with its values (m,) at the evenly spaced ``grid`` (m,), or a
+    ``course`` (n,) along the record, constant from each sample to the next. ``turn`` is the period of a
+    position that repeats, 0 where it does not; ``width`` the least width of what the curve may show.
+    """
+
+    acts: Over
+    grid: FloatArray
+    values: FloatArray
+    width: float
+    course: FloatArray | None = None
+    turn: float = 0.0
+
+    def over(self, inertia: float, record: Record) -> tuple[Beyond, FloatArray]:
+        """As a kernel takes it: the curve, and the course (n,) along a record, both over the inertia."""
+        per_unit = (len(self.grid) - 1) / float(self.grid[-1] - self.grid[0])
+        values = np.ascontiguousarray(self.values / inertia)
+        low = float(self.grid[0])
+        beyond = Beyond(int(self.acts), low, per_unit, self.turn, self.width, values, 0.0)
+        along = np.zeros(len(record)) if self.course is None else self.course / inertia
+        return beyond, np.ascontiguousarray(along)
+
+
+@runtime_checkable
+class Yielding(Model, Protocol):
+    """A model that takes one more force."""
+
+    @property
+    def force_unit(self) -> str:
+        """Unit of that force."""
+        ...
+
+    @property
+    def moves_by(self) -> tuple[str, str]:
+        """Names of the coordinates over which a curve may be: position and velocity of what is moved.
+
+        An empty name where recordings do not tell that coordinate.
+        """
+        ...
+
+    @property
+    def turn(self) -> float:
+        """Period of the position, 0 where it does not repeat."""
+        ...
+
+    def with_force(self, force: ExtraForce) -> Model:
+        """The same model under one more force; this one stays as it is."""
+        ...
+
+
+P = TypeVar("P")
+C = TypeVar("C")
+
+
+class Pushed(NamedTuple, Generic[P]):
+    """A part between two samples, and the force beside it."""
+
+    part: P
+    beyond: Beyond
+
+
+class PushedCourse(NamedTuple, Generic[C]):
+    """What changes along a recording, and the course (n,) of the force over the inertia."""
+
+    course: C
+    along: FloatArray
+
+
+@compiled
+def looked_up(x: float, b: Beyond) -> float:
+    """The curve at ``x``: straight between its nodes, constant outside."""
+    if b.turn > 0.0:
+        x = b.low + (x - b.low) % b.turn
+    place = (x - b.low) * b.per_unit
+    last = b.values.size - 1
+    if not place > 0.0:
+        return b.values[0]
+    if place >= last:
+        return b.values[last]
+    k = int(place)
+    share = place - k
+    return (1.0 - share) * b.values[k] + share * b.values[k + 1]
+
+
+@compiled
+def pushes(s: Motion, b: Beyond) -> float:
+    """What acts along the positive direction, over the inertia."""
+    if b.over == 1:
+        return looked_up(s.x, b)
+    if b.over == 5:
+        return -s.v * looked_up(s.x, b)
+    return looked_up(s.v, b) if b.over == 3 else b.course
+
+
+@compiled
+def rubs(s: Motion, b: Beyond) -> float:
+    """What acts against the motion, over the inertia."""
+    if b.over == 2:
+        return looked_up(s.x, b)
+    return looked_up(abs(s.v), b) if b.over == 4 else 0.0
+
+
+Pull = Callable[[Motion, float, float, Part], float]
+
+
+def with_extra(laws: Laws[Part, Course]) -> Laws[Pushed[Part], PushedCourse[Course]]:
+    """The laws of the same part under one more force."""
+    pull, target, follow, settled, grip, pace, at = laws
+
+    @specialised
+    def pulled(s: Motion, side: float, u: float, p: Pushed[Part]) -> float:
+        return pull(s, side, u, p.part) + pushes(s, p.beyond) - side * rubs(s, p.beyond)
+
+    @specialised
+    def aimed(s: Motion, u: float, how: Follows, p: Pushed[Part]) -> float:
+        return target(s, u, how, p.part)
+
+    @specialised
+    def following(s: Motion, p: Pushed[Part]) -> Follows:
+        return follow(s, p.part)
+
+    @specialised
+    def at_rest(s: Motion, u: float, p: Pushed[Part]) -> float:
+        return settled(s, u, p.part)
+
+    @specialised
+    def gripped(s: Motion, u: float, p: Pushed[Part]) -> tuple[float, float]:
+        drive, level = grip(s, u, p.part)
+        return drive + pushes(s, p.beyond), max(level + rubs(s, p.beyond), 0.0)
+
+    @specialised
+    def paced(
+        s: Motion, side: float, u: float, rise: float, since: float, how: Follows, finest: float,
+        p: Pushed[Part],
+    ) -> float:  # fmt: skip
+        size = pace(s, side, u, rise, since, how, finest, p.part)
+        if side == 0.0 or p.beyond.over == 0:
+            return size
+        rate = pulled(s, side, u, p) if 3 <= p.beyond.over <= 4 else s.v
+        return min(size, max(p.beyond.width / (abs(rate) + TINY), finest))
+
+    @specialised
+    def between(p: Pushed[Part], c: PushedCourse[Course], k: int) -> Pushed[Part]:
+        b = p.beyond
+        here = Beyond(b.over, b.low, b.per_unit, b.turn, b.width, b.values, c.along[k])
+        return Pushed(at(p.part, c.course, k), here)
+
+    return Laws(pulled, aimed, following, at_rest, gripped, paced, between)
