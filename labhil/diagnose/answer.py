@@ -10,6 +10,7 @@ from labhil.diagnose.locate import Location
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score
 from labhil.identify.statistics import Estimate
+from labhil.signals import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +74,27 @@ class Change:
 
 
 @dataclass(frozen=True, slots=True)
+class Curve:
+    """What no named term explains: ``value`` (m,) in ``unit`` over ``x`` (m,) of one coordinate.
+
+    ``low`` and ``high`` (m,) are a pointwise 99 % band; ``acts`` says which way it acts; ``formula`` is a
+    short one that lies within the band, if there is one; ``share`` is how much of the mismatch it explains
+    on data that the search never saw.
+    """
+
+    depends_on: str
+    acts: str
+    x: FloatArray
+    value: FloatArray
+    low: FloatArray
+    high: FloatArray
+    unit: str
+    x_unit: str
+    formula: str | None
+    share: float
+
+
+@dataclass(frozen=True, slots=True)
 class Diagnosis:
     """The answer. ``data`` is "test" or "heldout"; scores are on data that the search never saw.
 
@@ -99,4 +121,5 @@ class Diagnosis:
     final: list[Estimate]
     baseline_fit: Fitted
     final_fit: Fitted
+    curve: Curve | None
     seconds: float

@@ -9,20 +9,20 @@ from dataclasses import replace
 import numpy as np
 from scipy import stats
 
-from labhil.diagnose import locate
-from labhil.diagnose.answer import Change, Diagnosis, Excluded, Missing, RivalTerm, Undecided
+from labhil.diagnose import telling
+from labhil.diagnose.answer import Change, Diagnosis, Undecided
 from labhil.diagnose.contradiction import structure_p_value
 from labhil.diagnose.evidence import bic, effective_samples
 from labhil.diagnose.intake import Fault, usable
 from labhil.diagnose.intake import faults as faults_of
-from labhil.diagnose.search import Data, Found, Rival, Step, search
+from labhil.diagnose.search import Data, Found, search
+from labhil.diagnose.unmodelled import Unmodelled, unmodelled
 from labhil.identify.fitted import Fitted, climb, covariances, start_theta
 from labhil.identify.noise import lasting_noise
 from labhil.identify.score import Score, score
-from labhil.identify.statistics import Estimate
 from labhil.identify.table import table_of
 from labhil.identify.windows import noise_of
-from labhil.physics.model import Model, Record, index_of, terms_named
+from labhil.physics.model import Model, Record, terms_named
 from labhil.physics.terms import keyed, unkeyed
 
 SEARCH_WINDOW_IN_HORIZONS = 0.375
@@ -81,10 +81,12 @@ def diagnose(
     noise = lasting_noise(model, found.final.theta, held_out, noise_of(held_out))
     before = score(model, base.theta, held_out, noise, horizon)
     after = score(model, found.final.theta, held_out, noise, horizon) if found.missing else before
+    beyond = _beyond(data, found, after)
+    after = after if beyond is None else score(beyond.model, beyond.fit.theta, held_out, noise, horizon)
     final = table_of(found.final).rows
     changed = _changes(model, base, found, reference)
     return Diagnosis(
-        verdict=_verdict(found, changed, after),
+        verdict=_verdict(found, changed, after, beyond),
         faults=faults,
         p_value=found.p_value,
         p_value_method="tail_extrapolated",
@@ -92,11 +94,14 @@ def diagnose(
         baseline_terms=base.terms,
         baseline=table_of(base).rows,
         changed=changed,
-        location=_location(found, before, after, held_out),
-        missing=tuple(_missing(model, step, found, final) for step in found.missing),
-        rivals=tuple(_rival(model, rival, found) for rival in found.rivals),
-        undecided=_undecided(model),
-        excluded=_excluded(data, found),
+        location=telling.location(found, before, after, held_out, beyond),
+        missing=(
+            *(telling.missing(model, step, found, final) for step in found.missing),
+            *(() if beyond is None else (telling.unnamed(beyond),)),
+        ),
+        rivals=tuple(telling.rival_term(model, rival, found) for rival in found.rivals),
+        undecided=telling.undecided(model),
+        excluded=telling.excluded(data, found),
         data="test" if heldout_is_test else "heldout",
         before=before,
         after=after,
@@ -104,8 +109,18 @@ def diagnose(
         final=final,
         baseline_fit=base,
         final_fit=found.final,
+        curve=None if beyond is None else telling.curve(beyond),
         seconds=time.perf_counter() - began,
     )
+
+
+def _beyond(data: Data, found: Found, after: Score) -> Unmodelled | None:
+    """A force that no named term explains, where something is left to explain."""
+    if not _unexplained(found, after):
+        return None
+    rows = found.final.problem.windows
+    length = float(data.search.t[rows.last[0] - 1] - data.search.t[rows.first[0]])
+    return unmodelled(replace(data, window=length), found.final)
 
 
 def _fit_baseline(data: Data, terms: Sequence[str]) -> Fitted:
@@ -146,13 +161,17 @@ def _excited(record: Record, sigma: np.ndarray) -> bool:
     return bool(moved.all() and np.std(record.inputs[:, 0]) > 0)
 
 
-def _verdict(found: Found, changed: tuple[Change, ...], after: Score) -> str:
-    if found.missing:
+def _verdict(found: Found, changed: tuple[Change, ...], after: Score, beyond: Unmodelled | None) -> str:
+    if found.missing or beyond is not None:
         return "missing_physics"
-    excess = after.rmse / after.noise_floor
-    if excess > SURELY_UNEXPLAINED or (excess > UNEXPLAINED and _structured(found.final)):
+    if _unexplained(found, after):
         return "unexplained_mismatch"
     return "parameter_change" if changed else "no_mismatch"
+
+
+def _unexplained(found: Found, after: Score) -> bool:
+    excess = after.rmse / after.noise_floor
+    return excess > SURELY_UNEXPLAINED or (excess > UNEXPLAINED and _structured(found.final))
 
 
 def _structured(final: Fitted) -> bool:
@@ -177,112 +196,6 @@ def _changes(
         if p_value * len(compared) < FALSE_ALARM:
             changes.append(Change(row.name, row.joint, value, row.value, row.unit, row.ci99, p_value))
     return tuple(changes)
-
-
-def _location(found: Found, before: Score, after: Score, held_out: Record) -> locate.Location | None:
-    if not found.missing:
-        return None
-    model = found.final.problem.model
-    strongest = model.terms[found.missing[0].terms[0]]
-    shares = {step.terms[0]: locate.contribution(found.final, step.terms[0]) for step in found.missing}
-    regimes = {term: share.regimes() for term, share in shares.items()}
-    channel, joint = _channel(before, after)
-    return locate.Location(
-        channel=channel,
-        joint=joint,
-        enters=strongest.enters.value,
-        times=locate.times(before, after, held_out.t),
-        regimes=tuple(regime for found in regimes.values() for regime in found),
-        statement=locate.statement(keyed(channel, joint), strongest, regimes),
-    )
-
-
-def _channel(before: Score, after: Score) -> tuple[str, int | None]:
-    """The output that gains most, in units of its noise floor."""
-    gains = [(b.mse - a.mse) / a.noise_floor**2 for b, a in zip(before.channels, after.channels, strict=True)]
-    most = before.channels[int(np.argmax(gains))]
-    return most.channel, most.joint
-
-
-def _missing(model: Model, step: Step, found: Found, final: list[Estimate]) -> Missing:
-    (key,) = step.terms
-    term = model.terms[key]
-    rows = [row for row in final if (row.term, row.joint) == (term.name, term.joint)]
-    sizes = ", ".join(f"{row.name.partition('.')[2]} = {row.value:.4g} {row.unit}" for row in rows)
-    rivals = [r for r in found.rivals if r.instead_of == key]
-    at = "" if term.joint is None else f" of joint {term.joint}"
-    return Missing(
-        term=term.name,
-        joint=term.joint,
-        statement=f"The model leaves out {term.statement}{at}: {sizes}.",
-        equation=term.equation,
-        probability=_probability(0.0, rivals),
-        parameters=rows,
-        evidence=step.evidence,
-    )
-
-
-def _probability(delta_bic: float, rivals: Sequence[Rival]) -> float:
-    """exp(−ΔBIC/2) of one among all that stand for the same term, with the term itself at zero."""
-    total = 1.0 + sum(np.exp(-0.5 * r.delta_bic) for r in rivals)
-    return float(np.exp(-0.5 * delta_bic) / total)
-
-
-def _rival(model: Model, rival: Rival, found: Found) -> RivalTerm:
-    same = [r for r in found.rivals if r.instead_of == rival.instead_of]
-    term = model.terms[rival.term]
-    return RivalTerm(
-        term=term.name,
-        instead_of=rival.instead_of,
-        joint=term.joint,
-        probability=_probability(rival.delta_bic, same),
-        delta_bic=rival.delta_bic,
-        distinguishable=False,
-        experiment=f"excite with {term.revealed_by}",
-    )
-
-
-def _undecided(model: Model) -> tuple[Undecided, ...]:
-    """Terms of which no recording of this rig can speak, with the reason."""
-    return tuple(Undecided(*unkeyed(key), (), reason) for key, reason in model.never_seen.items())
-
-
-def _excluded(data: Data, found: Found) -> tuple[Excluded, ...]:
-    """Linearised estimate of every absent term beside the final model, ± its 99 % error."""
-    problem, solution = found.final.problem, found.final.solution
-    lin = problem.linearise(solution.point, solution.residuals)
-    own = problem.project(lin, lin.by_parameters)
-    noise = found.final.noise
-    limits = []
-    for key, term in data.model.terms.items():
-        if key in found.final.terms:
-            continue
-        parameter = next(p for p in term.parameters if not p.shape)
-        column = _slope(found.final, parameter.key)
-        column = problem.project(lin, column[:, None])[:, 0]
-        basis, _ = np.linalg.qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300))
-        column = column - basis @ (basis.T @ column)
-        power = float(column @ column)
-        if power <= 1e-12:
-            continue
-        value = -float(column @ solution.residuals) / power
-        error = noise / np.sqrt(power)
-        largest = (abs(value) + stats.norm.ppf(0.995) * error) * parameter.scale
-        limits.append(Excluded(term.name, term.joint, float(largest), parameter.unit, 0.99))
-    return tuple(limits)
-
-
-def _slope(final: Fitted, key: str) -> np.ndarray:
-    """Change of the residuals per scale of a parameter at neutral, from a small finite step."""
-    model, problem = final.problem.model, final.problem
-    parameter = next(p for p in model.parameters if p.key == key)
-    step = 1e-2
-    theta = final.theta.copy()
-    theta[index_of(model.parameters)[key]] += step * parameter.scale
-    simulated = model.simulate(theta, problem.record, problem.windows, final.solution.point.states)
-    measured = problem.record.outputs[problem.windows.rows]
-    residuals = ((simulated - measured) / problem.sigma).ravel()
-    return np.asarray((residuals - final.solution.residuals) / step)
 
 
 def _unsearched(
@@ -318,5 +231,6 @@ def _unsearched(
         final=rows,
         baseline_fit=base,
         final_fit=base,
+        curve=None,
         seconds=time.perf_counter() - began,
     )

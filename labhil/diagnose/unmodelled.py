@@ -9,7 +9,7 @@ import numpy as np
 
 from labhil.diagnose.closed_forms import closed_form
 from labhil.diagnose.evidence import Evidence, heldout_gain
-from labhil.diagnose.search import ALPHA, NEEDED_BIC, Data
+from labhil.diagnose.search import TRUSTED, Data, supported
 from labhil.identify.curve import (
     Band,
     Curved,
@@ -97,16 +97,14 @@ def unmodelled(data: Data, final: Fitted) -> Unmodelled | None:
     model = final.problem.model
     if not isinstance(model, Yielding):
         return None
-    judged = data.judge(final.theta)
+    judged = data.judge(final.theta)[0]
     if max(final.noise, judged.rmse / judged.noise_floor) < REACHED:
         return None
     chosen = _best(final, model)
     if chosen is None:
         return None
     evidence = _evidence(data, final, judged, chosen)
-    if not (
-        evidence.delta_bic < NEEDED_BIC and evidence.heldout_loglik_gain > 0 and evidence.p_value < ALPHA
-    ):
+    if not supported(evidence, TRUSTED):
         return None
     return _answer(data, final, chosen, evidence)
 

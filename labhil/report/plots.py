@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from labhil.diagnose import locate
-from labhil.diagnose.answer import Diagnosis
+from labhil.diagnose.answer import Curve, Diagnosis
 from labhil.identify.score import Score
 from labhil.physics.model import Record
 from labhil.physics.terms import keyed
@@ -85,6 +85,9 @@ def _draw_missing(axes: Axes, diagnosis: Diagnosis) -> None:
         axes.set_axis_off()
         axes.text(0.5, 0.5, "nothing is missing", ha="center")
         return
+    if diagnosis.curve is not None:
+        _draw_curve(axes, diagnosis.curve)
+        return
     shares = {
         key: locate.contribution(diagnosis.final_fit, key)
         for key in (keyed(item.term, item.joint) for item in diagnosis.missing)
@@ -99,6 +102,15 @@ def _draw_missing(axes: Axes, diagnosis: Diagnosis) -> None:
         label = f"where most of {term} lives" if number == 0 else None
         axes.axvspan(regime.low, regime.high, color=BEFORE, alpha=0.15, label=label)
     finish(axes, "What the baseline leaves out", f"{name}, {units[name]}", "missing effect, where it acts")
+
+
+def _draw_curve(axes: Axes, curve: Curve) -> None:
+    """What no named term explains, with its band."""
+    axes.fill_between(curve.x, curve.low, curve.high, color=AFTER, alpha=0.25, lw=0, label="99 % band")
+    label = curve.formula or curve.acts.replace("_", " ")
+    axes.plot(curve.x, curve.value, color=AFTER, lw=1.5, label=label)
+    axes.axhline(0.0, color=MEASURED, lw=0.8)
+    finish(axes, "What no named effect explains", f"{curve.depends_on}, {curve.x_unit}", curve.unit)
 
 
 def _draw_histogram(axes: Axes, diagnosis: Diagnosis, j: int) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from labhil.diagnose.accepted import Accepted
-from labhil.diagnose.answer import Diagnosis
+from labhil.diagnose.answer import Curve, Diagnosis
 from labhil.errors import ModelFileError
 from labhil.identify.fit import Fit
 from labhil.identify.score import Score
@@ -96,10 +96,23 @@ def diagnosis_json(diagnosis: Diagnosis, sources: Sequence[Source]) -> Any:
             "excluded": [asdict(item) for item in diagnosis.excluded],
             "improvement": _improvement(diagnosis),
             "final": {"terms": list(diagnosis.final_terms), "parameters": _rows(diagnosis.final)},
-            "curve": None,
+            "curve": None if diagnosis.curve is None else _curve(diagnosis.curve),
             "seconds": diagnosis.seconds,
         }
     )
+
+
+def _curve(curve: Curve) -> dict[str, Any]:
+    return {
+        "depends_on": [curve.depends_on],
+        "acts": curve.acts,
+        "x": [curve.x],
+        "value": curve.value,
+        "ci99": [curve.low, curve.high],
+        "unit": curve.unit,
+        "formula": curve.formula,
+        "share": curve.share,
+    }
 
 
 def _improvement(diagnosis: Diagnosis) -> dict[str, Any]:

@@ -1,0 +1,178 @@
+"""What a search found, told: terms, rivals, where they live, and what could still hide."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy import stats
+
+from labhil.diagnose import locate
+from labhil.diagnose.answer import Curve, Excluded, Missing, RivalTerm, Undecided
+from labhil.diagnose.search import Data, Found, Rival, Step
+from labhil.diagnose.unmodelled import Unmodelled
+from labhil.identify.fitted import Fitted
+from labhil.identify.score import Score
+from labhil.identify.statistics import Estimate
+from labhil.physics.model import Model, Record, index_of
+from labhil.physics.terms import keyed, unkeyed
+
+
+def missing(model: Model, step: Step, found: Found, final: list[Estimate]) -> Missing:
+    """One found term with its parameters among the rows ``final`` and its share among its rivals."""
+    (key,) = step.terms
+    term = model.terms[key]
+    rows = [row for row in final if (row.term, row.joint) == (term.name, term.joint)]
+    sizes = ", ".join(f"{row.name.partition('.')[2]} = {row.value:.4g} {row.unit}" for row in rows)
+    rivals = [r for r in found.rivals if r.instead_of == key]
+    at = "" if term.joint is None else f" of joint {term.joint}"
+    return Missing(
+        term=term.name,
+        joint=term.joint,
+        statement=f"The model leaves out {term.statement}{at}: {sizes}.",
+        equation=term.equation,
+        probability=_probability(0.0, rivals),
+        parameters=rows,
+        evidence=step.evidence,
+    )
+
+
+def unnamed(beyond: Unmodelled) -> Missing:
+    """The entry of what no named term explains."""
+    formula = f"; about {beyond.formula}" if beyond.formula else ""
+    return Missing(
+        term=beyond.term,
+        joint=None,
+        statement=beyond.statement,
+        equation=f"a curve over {', '.join(beyond.depends_on)}{formula}",
+        probability=1.0,
+        parameters=[],
+        evidence=beyond.evidence,
+    )
+
+
+def curve(beyond: Unmodelled) -> Curve:
+    """Its curve as the answer states it."""
+    return Curve(
+        depends_on=beyond.depends_on[0],
+        acts=beyond.acts.name.lower(),
+        x=beyond.x,
+        value=beyond.value,
+        low=beyond.low,
+        high=beyond.high,
+        unit=beyond.unit,
+        x_unit=beyond.x_unit,
+        formula=beyond.formula,
+        share=beyond.share,
+    )
+
+
+def rival_term(model: Model, rival: Rival, found: Found) -> RivalTerm:
+    """A rival with its probability and the excitation that would tell."""
+    same = [r for r in found.rivals if r.instead_of == rival.instead_of]
+    term = model.terms[rival.term]
+    return RivalTerm(
+        term=term.name,
+        instead_of=rival.instead_of,
+        joint=term.joint,
+        probability=_probability(rival.delta_bic, same),
+        delta_bic=rival.delta_bic,
+        distinguishable=False,
+        experiment=f"excite with {term.revealed_by}",
+    )
+
+
+def _probability(delta_bic: float, rivals: Sequence[Rival]) -> float:
+    """exp(−ΔBIC/2) of one among all that stand for the same term, with the term itself at zero."""
+    total = 1.0 + sum(np.exp(-0.5 * r.delta_bic) for r in rivals)
+    return float(np.exp(-0.5 * delta_bic) / total)
+
+
+def undecided(model: Model) -> tuple[Undecided, ...]:
+    """Terms of which no recording of this rig can speak, with the reason."""
+    return tuple(Undecided(*unkeyed(key), (), reason) for key, reason in model.never_seen.items())
+
+
+def location(
+    found: Found, before: Score, after: Score, held_out: Record, beyond: Unmodelled | None
+) -> locate.Location | None:
+    """Where the mismatch lives; None where none was found."""
+    if not found.missing:
+        return None if beyond is None else _beyond_location(found, before, after, held_out, beyond)
+    model = found.final.problem.model
+    strongest = model.terms[found.missing[0].terms[0]]
+    shares = {step.terms[0]: locate.contribution(found.final, step.terms[0]) for step in found.missing}
+    regimes = {term: share.regimes() for term, share in shares.items()}
+    channel, joint = _channel(before, after)
+    return locate.Location(
+        channel=channel,
+        joint=joint,
+        enters=strongest.enters.value,
+        times=locate.times(before, after, held_out.t),
+        regimes=tuple(regime for found in regimes.values() for regime in found),
+        statement=locate.statement(keyed(channel, joint), strongest, regimes),
+    )
+
+
+def _beyond_location(
+    found: Found, before: Score, after: Score, held_out: Record, beyond: Unmodelled
+) -> locate.Location:
+    problem, name = found.final.problem, beyond.depends_on[0]
+    states = found.final.solution.point.states
+    along = problem.model.coordinates(found.final.theta, problem.record, problem.windows, states)[name]
+    regimes = locate.regimes({name: along}, np.interp(along, beyond.x, beyond.value) ** 2)
+    channel, joint = _channel(before, after)
+    return locate.Location(
+        channel=channel,
+        joint=joint,
+        enters=beyond.enters,
+        times=locate.times(before, after, held_out.t),
+        regimes=tuple(replace(regime, unit=beyond.x_unit) for regime in regimes),
+        statement=f"What {keyed(channel, joint)} is off by enters by the {beyond.enters} and follows {name}.",
+    )
+
+
+def _channel(before: Score, after: Score) -> tuple[str, int | None]:
+    """The output that gains most, in units of its noise floor."""
+    gains = [(b.mse - a.mse) / a.noise_floor**2 for b, a in zip(before.channels, after.channels, strict=True)]
+    most = before.channels[int(np.argmax(gains))]
+    return most.channel, most.joint
+
+
+def excluded(data: Data, found: Found) -> tuple[Excluded, ...]:
+    """Linearised estimate of every absent term beside the final model, ± its 99 % error."""
+    problem, solution = found.final.problem, found.final.solution
+    lin = problem.linearise(solution.point, solution.residuals)
+    own = problem.project(lin, lin.by_parameters)
+    noise = found.final.noise
+    limits = []
+    for key, term in data.model.terms.items():
+        if key in found.final.terms:
+            continue
+        parameter = next(p for p in term.parameters if not p.shape)
+        column = _slope(found.final, parameter.key)
+        column = problem.project(lin, column[:, None])[:, 0]
+        basis, _ = np.linalg.qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300))
+        column = column - basis @ (basis.T @ column)
+        power = float(column @ column)
+        if power <= 1e-12:
+            continue
+        value = -float(column @ solution.residuals) / power
+        error = noise / np.sqrt(power)
+        largest = (abs(value) + stats.norm.ppf(0.995) * error) * parameter.scale
+        limits.append(Excluded(term.name, term.joint, float(largest), parameter.unit, 0.99))
+    return tuple(limits)
+
+
+def _slope(final: Fitted, key: str) -> np.ndarray:
+    """Change of the residuals per scale of a parameter at neutral, from a small finite step."""
+    model, problem = final.problem.model, final.problem
+    parameter = next(p for p in model.parameters if p.key == key)
+    step = 1e-2
+    theta = final.theta.copy()
+    theta[index_of(model.parameters)[key]] += step * parameter.scale
+    simulated = model.simulate(theta, problem.record, problem.windows, final.solution.point.states)
+    measured = problem.record.outputs[problem.windows.rows]
+    residuals = ((simulated - measured) / problem.sigma).ravel()
+    return np.asarray((residuals - final.solution.residuals) / step)
