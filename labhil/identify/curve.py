@@ -29,14 +29,17 @@ SMOOTHING = np.logspace(-6.0, 6.0, 13)
 SIZE = 0.1
 """Share of the drive's force that is taken for a typical size."""
 
-WIDEST = 0.01
-"""Weight of the prior that keeps coefficients within some ten sizes: it decides only what data do not."""
+WIDEST = 1.0
+"""Weight of the prior that keeps coefficients within a few sizes: it decides only what data do not."""
 
 SAME = 1e-3
 """Share of its square that a shape keeps beside the model's own parameters when these can stand for it."""
 
 NO_WORSE = 1.01
 """Growth of the cost up to which a shape is handed over to the model's own parameters."""
+
+EXCHANGED = 3
+"""Steps after that exchange."""
 
 REWEIGHTED = 60
 LEVEL = 0.99
@@ -181,7 +184,7 @@ def band(curved: Curved) -> Band:
     spread = design @ covariance(curved) @ design.T
     reach = stats.norm.ppf(0.5 + 0.5 * LEVEL) * np.sqrt(np.maximum(np.diag(spread), 0.0))
     x = np.linspace(spline.low, spline.high, PLACES)
-    return Band(x, design @ curved.coefficients, spread, np.asarray(reach))
+    return Band(x, design @ curved.free @ curved.coefficients, spread, np.asarray(reach))
 
 
 def handed_over(curved: Curved) -> bool:
@@ -246,15 +249,19 @@ def gauged(curved: Curved) -> Curved:
     """The same fit with that part of the curve in the model's own parameters that these can stand for."""
     count, fitted = curved.model.spline.count, curved.fitted
     free, z = _freed(curved), fitted.solution.point.z
+    if np.array_equal(free, np.eye(count)):
+        return curved
     taken = z[-count:] - free @ z[-count:]
     slopes = curved.near.slopes
     own = np.linalg.lstsq(slopes[:, :-count], slopes[:, -count:] @ taken, rcond=None)[0]
     problem = fitted.problem
     moved = np.clip(z + np.r_[own, -taken], problem.lower, problem.upper)
-    point = replace(fitted.solution.point, z=moved)
-    solution = replace(fitted.solution, point=point, residuals=problem.residuals(point))
+    # the exchange is exact for the linearised model only
+    begin = replace(fitted.solution.point, z=moved)
+    solution = minimise(problem, begin, curved.penalty, EXCHANGED)
+    curved = replace(curved, free=free)
     if solution.cost > NO_WORSE * fitted.solution.cost:
         return curved
-    near = replace(curved.near, z=moved)
-    fitted = replace(fitted, theta=problem.theta(moved), solution=solution)
-    return replace(curved, fitted=fitted, near=near, free=free)
+    near, _ = Projected.at(problem, solution.point, solution.residuals)
+    fitted = replace(fitted, theta=problem.theta(solution.point.z), solution=solution)
+    return replace(curved, fitted=fitted, near=near)
