@@ -129,11 +129,18 @@ def _penalty(near: Projected, model: ExtendedModel, weight: float) -> FloatArray
     return penalty
 
 
-def refined(glanced: Curved, iterations: int) -> Curved:
-    """The same curve by the simulation itself, its smoothness chosen anew where that ends."""
-    # from where the fit without the curve ended: a linear step may be too long
+def begun(glanced: Curved) -> Curved:
+    """A glance back where the fit without the curve ended: its one step may be too long to begin with."""
     start = replace(glanced.fitted.solution.point, z=glanced.near.z)
-    return _minimised(_minimised(glanced, start, iterations), None, iterations)
+    residuals = glanced.fitted.problem.residuals(start)
+    solution = replace(glanced.fitted.solution, point=start, residuals=residuals)
+    return replace(glanced, fitted=replace(glanced.fitted, solution=solution))
+
+
+def refined(curved: Curved, iterations: int) -> Curved:
+    """The same curve by the simulation itself, its smoothness chosen anew where that ends."""
+    once = _minimised(curved, None, iterations)
+    return _minimised(once, None, iterations)
 
 
 def lengthened(curved: Curved, windows: Windows, iterations: int) -> Curved:
