@@ -16,6 +16,7 @@ from labhil.identify.curve import (
     band,
     begun,
     criterion,
+    deepened,
     gauged,
     glance,
     handed_over,
@@ -155,7 +156,7 @@ def _best(final: Fitted, model: Yielding) -> Curved | None:
     for length in longer:
         windows = fit_windows(problem.record, length)
         trials = _leading([lengthened(trial, windows, ITERATIONS) for trial in trials])
-    return gauged(refined(trials[0], FINISHED))
+    return gauged(deepened(trials[0], FINISHED))
 
 
 def _begun(final: Fitted) -> tuple[Fitted, tuple[float, ...]]:

@@ -10,7 +10,7 @@ from scipy import stats
 from labhil.diagnose.evidence import independent
 from labhil.identify.extended import NAME, Coordinate, ExtendedModel
 from labhil.identify.fitted import Fitted
-from labhil.identify.least_squares import Solution, fit_states
+from labhil.identify.least_squares import Solution, fit_states, search_states
 from labhil.identify.penalised import Projected, minimise
 from labhil.identify.problem import Point, Problem
 from labhil.identify.spline import Spline
@@ -40,6 +40,9 @@ NO_WORSE = 1.01
 
 EXCHANGED = 3
 """Steps after that exchange."""
+
+DEEPENED = 2
+"""Rounds of new states and a new curve."""
 
 REWEIGHTED = 60
 LEVEL = 0.99
@@ -141,6 +144,16 @@ def refined(curved: Curved, iterations: int) -> Curved:
     """The same curve by the simulation itself, its smoothness chosen anew where that ends."""
     once = _minimised(curved, None, iterations)
     return _minimised(once, None, iterations)
+
+
+def deepened(curved: Curved, iterations: int) -> Curved:
+    """The same curve where windows have looked for better states: one in a wrong minimum bends the curve."""
+    random = np.random.default_rng(0)
+    for _ in range(DEEPENED):
+        problem, point = curved.fitted.problem, curved.fitted.solution.point
+        start = Point(point.z, search_states(problem, point.z, point.states, random))
+        curved = _minimised(curved, start, iterations)
+    return curved
 
 
 def lengthened(curved: Curved, windows: Windows, iterations: int) -> Curved:
