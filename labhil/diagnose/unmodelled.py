@@ -14,7 +14,9 @@ from labhil.identify.curve import (
     Band,
     Curved,
     band,
+    begun,
     criterion,
+    deepened,
     gauged,
     glance,
     handed_over,
@@ -38,7 +40,11 @@ REACHED = 1.05
 REFINED = 3
 """How many coordinates are looked at by the simulation itself."""
 
-ITERATIONS = 6
+ITERATIONS = 8
+"""Steps on the windows of each length."""
+
+FINISHED = 25
+"""Steps of the chosen one at the end."""
 
 MODERATE = 2.0
 """Errors, in units of the noise, up to which one linear step tells coordinates apart."""
@@ -135,32 +141,32 @@ def _best(final: Fitted, model: Yielding) -> Curved | None:
 
     Glances are on windows so short that even a strong effect is nearly a linear one.
     """
-    begun, longer = _begun(final)
-    problem = begun.problem
-    along = model.coordinates(begun.theta, problem.record, problem.windows, begun.solution.point.states)
+    short, longer = _begun(final)
+    problem = short.problem
+    along = model.coordinates(short.theta, problem.record, problem.windows, short.solution.point.states)
     possible = [(c, c.of(along)) for c in coordinates_of(model) + _given(final)]
-    looks = [glance(begun, coordinate, values) for coordinate, values in possible if np.ptp(values) > 0.0]
+    looks = [glance(short, coordinate, values) for coordinate, values in possible if np.ptp(values) > 0.0]
     if not looks:
         return None
     effective = _worth(looks)
     looks.sort(key=lambda look: criterion(look, effective))
-    trials = _leading([refined(look, ITERATIONS) for look in looks[:REFINED]])
+    trials = _leading([refined(begun(look), ITERATIONS) for look in looks[:REFINED]])
     for length in longer:
         windows = fit_windows(problem.record, length)
         trials = _leading([lengthened(trial, windows, ITERATIONS) for trial in trials])
-    return gauged(trials[0])
+    return gauged(deepened(trials[0], FINISHED))
 
 
 def _begun(final: Fitted) -> tuple[Fitted, tuple[float, ...]]:
     """The fit on the longest windows on which its errors are moderate, and the lengths (s) back."""
-    begun = final
+    short = final
     longer: tuple[float, ...] = ()
     for share in SHORTER:
-        if begun.noise < MODERATE:
+        if short.noise < MODERATE:
             break
-        longer = (length_of(begun), *longer)
-        begun = shortened(final, share)
-    return begun, longer
+        longer = (length_of(short), *longer)
+        short = shortened(final, share)
+    return short, longer
 
 
 def _leading(trials: Sequence[Curved]) -> list[Curved]:

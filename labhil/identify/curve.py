@@ -10,7 +10,7 @@ from scipy import stats
 from labhil.diagnose.evidence import independent
 from labhil.identify.extended import NAME, Coordinate, ExtendedModel
 from labhil.identify.fitted import Fitted
-from labhil.identify.least_squares import Solution, fit_states
+from labhil.identify.least_squares import Solution, fit_states, search_states
 from labhil.identify.penalised import Projected, minimise
 from labhil.identify.problem import Point, Problem
 from labhil.identify.spline import Spline
@@ -29,14 +29,20 @@ SMOOTHING = np.logspace(-6.0, 6.0, 13)
 SIZE = 0.1
 """Share of the drive's force that is taken for a typical size."""
 
-WIDEST = 0.01
-"""Weight of the prior that keeps coefficients within some ten sizes: it decides only what data do not."""
+WIDEST = 1.0
+"""Weight of the prior that keeps coefficients within a few sizes: it decides only what data do not."""
 
 SAME = 1e-3
 """Share of its square that a shape keeps beside the model's own parameters when these can stand for it."""
 
 NO_WORSE = 1.01
 """Growth of the cost up to which a shape is handed over to the model's own parameters."""
+
+EXCHANGED = 3
+"""Steps after that exchange."""
+
+DEEPENED = 2
+"""Rounds of new states and a new curve."""
 
 REWEIGHTED = 60
 LEVEL = 0.99
@@ -126,11 +132,28 @@ def _penalty(near: Projected, model: ExtendedModel, weight: float) -> FloatArray
     return penalty
 
 
-def refined(glanced: Curved, iterations: int) -> Curved:
-    """The same curve by the simulation itself, its smoothness chosen anew where that ends."""
-    # from where the fit without the curve ended: a linear step may be too long
+def begun(glanced: Curved) -> Curved:
+    """A glance back where the fit without the curve ended: its one step may be too long to begin with."""
     start = replace(glanced.fitted.solution.point, z=glanced.near.z)
-    return _minimised(_minimised(glanced, start, iterations), None, iterations)
+    residuals = glanced.fitted.problem.residuals(start)
+    solution = replace(glanced.fitted.solution, point=start, residuals=residuals)
+    return replace(glanced, fitted=replace(glanced.fitted, solution=solution))
+
+
+def refined(curved: Curved, iterations: int) -> Curved:
+    """The same curve by the simulation itself, its smoothness chosen anew where that ends."""
+    once = _minimised(curved, None, iterations)
+    return _minimised(once, None, iterations)
+
+
+def deepened(curved: Curved, iterations: int) -> Curved:
+    """The same curve where windows have looked for better states: one in a wrong minimum bends the curve."""
+    random = np.random.default_rng(0)
+    for _ in range(DEEPENED):
+        problem, point = curved.fitted.problem, curved.fitted.solution.point
+        start = Point(point.z, search_states(problem, point.z, point.states, random))
+        curved = _minimised(curved, start, iterations)
+    return curved
 
 
 def lengthened(curved: Curved, windows: Windows, iterations: int) -> Curved:
@@ -181,7 +204,7 @@ def band(curved: Curved) -> Band:
     spread = design @ covariance(curved) @ design.T
     reach = stats.norm.ppf(0.5 + 0.5 * LEVEL) * np.sqrt(np.maximum(np.diag(spread), 0.0))
     x = np.linspace(spline.low, spline.high, PLACES)
-    return Band(x, design @ curved.coefficients, spread, np.asarray(reach))
+    return Band(x, design @ curved.free @ curved.coefficients, spread, np.asarray(reach))
 
 
 def handed_over(curved: Curved) -> bool:
@@ -246,15 +269,19 @@ def gauged(curved: Curved) -> Curved:
     """The same fit with that part of the curve in the model's own parameters that these can stand for."""
     count, fitted = curved.model.spline.count, curved.fitted
     free, z = _freed(curved), fitted.solution.point.z
+    if np.array_equal(free, np.eye(count)):
+        return curved
     taken = z[-count:] - free @ z[-count:]
     slopes = curved.near.slopes
     own = np.linalg.lstsq(slopes[:, :-count], slopes[:, -count:] @ taken, rcond=None)[0]
     problem = fitted.problem
     moved = np.clip(z + np.r_[own, -taken], problem.lower, problem.upper)
-    point = replace(fitted.solution.point, z=moved)
-    solution = replace(fitted.solution, point=point, residuals=problem.residuals(point))
+    # the exchange is exact for the linearised model only
+    begin = replace(fitted.solution.point, z=moved)
+    solution = minimise(problem, begin, curved.penalty, EXCHANGED)
+    curved = replace(curved, free=free)
     if solution.cost > NO_WORSE * fitted.solution.cost:
         return curved
-    near = replace(curved.near, z=moved)
-    fitted = replace(fitted, theta=problem.theta(moved), solution=solution)
-    return replace(curved, fitted=fitted, near=near, free=free)
+    near, _ = Projected.at(problem, solution.point, solution.residuals)
+    fitted = replace(fitted, theta=problem.theta(solution.point.z), solution=solution)
+    return replace(curved, fitted=fitted, near=near)

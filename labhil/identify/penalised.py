@@ -21,9 +21,14 @@ from labhil.identify.problem import Linearised, Point, Problem
 from labhil.identify.statistics import long_run_variance, modelled_variance
 from labhil.signals import FloatArray, IntArray
 
-HALVINGS = 4
-TOLERANCE = 1e-4
+DAMPED, LEAST_DAMPED, MOST_DAMPED = 1e-3, 1e-8, 1e4
+"""Damping of the first step, the least and the most, over the curvature."""
+
+TOLERANCE = 3e-4
+"""Share of the cost that a step has to gain."""
+
 FOLDS = 10
+"""In which windows are left out in turn."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,11 +50,13 @@ class Projected:
         both = problem.project(lin, np.column_stack([lin.by_parameters, residuals]))
         return cls(point.z, both[:, -1], both[:, :-1], problem.owner), lin
 
-    def solve(self, penalty: FloatArray) -> FloatArray:
-        """The ``z`` (P,) at which the linearised, penalised cost is least."""
+    def solve(self, penalty: FloatArray, damping: float = 0.0) -> FloatArray:
+        """The ``z`` (P,) at which the linearised, penalised cost is least, or ``damping`` short of it."""
         normal = self.slopes.T @ self.slopes
-        right = self.slopes.T @ (self.slopes @ self.z - self.residuals)
-        return np.asarray(np.linalg.solve(normal + penalty + _least(normal), right))
+        gradient = self.slopes.T @ self.residuals + penalty @ self.z
+        curvature = normal + penalty + _least(normal)
+        curvature = curvature + damping * np.diag(np.diag(curvature))
+        return np.asarray(self.z - np.linalg.solve(curvature, gradient))
 
     def left(self, z: FloatArray) -> FloatArray:
         """Residuals (N,) that the linearised model has at ``z``."""
@@ -100,33 +107,33 @@ def _least(normal: FloatArray) -> FloatArray:
 
 
 def minimise(problem: Problem, start: Point, penalty: FloatArray, iterations: int) -> Solution:
-    """Gauss and Newton's method on the penalised cost, with halved steps; ``penalty`` is (P, P)."""
-    point, residuals = start, problem.residuals(start)
+    """Levenberg and Marquardt's method on the penalised cost; ``penalty`` is (P, P)."""
+    point, residuals, damping = start, problem.residuals(start), DAMPED
     for iteration in range(iterations):
         cost = _cost(point.z, residuals, penalty)
-        found = _lower(problem, point, residuals, penalty)
+        found = _lower(problem, point, residuals, penalty, damping)
         if found is None:
             return Solution(point, residuals, iteration, True)
-        point, residuals = found
+        point, residuals, damping = found
         if cost - _cost(point.z, residuals, penalty) < TOLERANCE * cost:
             return Solution(point, residuals, iteration + 1, True)
     return Solution(point, residuals, iterations, False)
 
 
 def _lower(
-    problem: Problem, point: Point, residuals: FloatArray, penalty: FloatArray
-) -> tuple[Point, FloatArray] | None:
-    """A point of lower cost on the way to the linearised minimum, with its residuals."""
+    problem: Problem, point: Point, residuals: FloatArray, penalty: FloatArray, damping: float
+) -> tuple[Point, FloatArray, float] | None:
+    """A point of lower cost, its residuals and the next damping; None when no damping finds one."""
     near, lin = Projected.at(problem, point, residuals)
-    goal = near.solve(penalty)
     cost = _cost(point.z, residuals, penalty)
-    for halving in range(HALVINGS):
-        z = np.clip(point.z + (goal - point.z) * 0.5**halving, problem.lower, problem.upper)
+    while damping < MOST_DAMPED:
+        z = np.clip(near.solve(penalty, damping), problem.lower, problem.upper)
         states = polish_states(problem, z, point.states, _followed(problem, lin, point, residuals, z))
         trial = Point(z, states)
         trial_residuals = problem.residuals(trial)
         if _cost(z, trial_residuals, penalty) < cost:
-            return trial, trial_residuals
+            return trial, trial_residuals, max(0.1 * damping, LEAST_DAMPED)
+        damping *= 10.0
     return None
 
 

@@ -1,0 +1,137 @@
+"""Physics that stands in no list of terms: its coordinate, its curve, and what it is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from labhil.campaign.benchmark.cases import (
+    BALL_BEAM_RIG,
+    BALL_BEAM_TRUTH,
+    CASES,
+    held_ball,
+)
+from labhil.campaign.benchmark.trial import Case
+from labhil.diagnose.search import Data
+from labhil.diagnose.unmodelled import Unmodelled, unmodelled
+from labhil.identify.fitted import Fitted, climb, start_theta
+from labhil.identify.windows import fit_windows, noise_of
+from labhil.physics.extra_force import ExtraForce, Over, Yielding
+from labhil.physics.model import Record
+from labhil.physics.rigs import model_for
+from labhil.plants.axis import AxisPlant
+from labhil.rig import parse_rig
+from labhil.signals import FloatArray, Hold
+
+AXIS_TERMS = ("viscous_friction", "coulomb_friction", "constant_force")
+AXIS_RIG = '[rig]\nkind = "axis"\n[metric]\nhorizon = 1.4\n'
+BALL_TERMS = ("viscous_friction", "coulomb_friction")
+PERIOD = 0.005
+ENCODER = 2e-5
+
+Law = Callable[[FloatArray], FloatArray]
+
+
+def held_axis(terms: tuple[str, ...], parameters: Mapping[str, float], seed: int, n: int) -> Record:
+    """Sines on an axis that a weak spring in the controller keeps near zero."""
+    random = np.random.default_rng([seed, n])
+    t = PERIOD * np.arange(n)
+    tones = zip((0.07, 0.31, 0.53, 1.3), (14.0, 25.0, 40.0, 15.0), random.uniform(0.0, 6.28, 4), strict=True)
+    wanted = sum((size * np.cos(2.0 * np.pi * f * t + phase) for f, size, phase in tones), np.zeros(n))
+    plant = AxisPlant({**parameters, "position_noise": 0.0}, (*AXIS_TERMS, *terms), 0, PERIOD)
+    u, y = np.zeros(n), np.zeros(n)
+    for i in range(n - 1):
+        u[i] = wanted[i] - 250.0 * y[i]
+        y[i + 1] = plant.step(u[i])["position"]
+    seen = y + random.normal(0.0, ENCODER, n)
+    return Record(t, u[:, None], seen[:, None], ("drive_force",), ("position",), ("m",), (Hold.ZERO,))
+
+
+def held_balls(terms: tuple[str, ...], parameters: Mapping[str, float]) -> tuple[Record, Record]:
+    """Two records of a ball on its beam, to search and to test on."""
+    random = np.random.default_rng(3)
+    truth = {k: v for k, v in BALL_BEAM_TRUTH.items() if k.partition(".")[0] in BALL_TERMS}
+    first, second = (
+        held_ball((*BALL_TERMS, *terms), {**truth, **parameters}, random.normal(0.0, 4e-4, n), phase)
+        for n, phase in ((4000, 1.0), (3000, 2.5))
+    )
+    return first, second
+
+
+def fitted(rig: str, terms: tuple[str, ...], record: Record, test: Record) -> tuple[Data, Fitted]:
+    """A search that ended with no more than its baseline."""
+    model = model_for(parse_rig(rig, Path("rig.toml")), record)
+    begin = start_theta(model)
+    window = 0.375 * model.horizon
+    data = Data(model, record, test, noise_of(record), noise_of(test), window, begin)
+    lengths = [0.5 * window, window, 2.0 * window]
+    return data, climb(model, record, list(terms), lengths, data.sigma, start=begin, fresh=terms)[-1]
+
+
+def within(found: Unmodelled, law: Law) -> float:
+    """Share of the visited range where the plant's own law lies within the band."""
+    truth = law(found.x)
+    return float(np.mean((truth >= found.low) & (truth <= found.high)))
+
+
+def test_a_sticky_patch_is_found_where_it_is() -> None:
+    """It is dry friction over the position; the rest of the record is at the noise."""
+    parameters = {"constant_force.force": -0.5, "hidden_sticky_patch.level": 0.3}
+    records = [held_axis(("hidden_sticky_patch",), parameters, seed, 4000) for seed in (1, 2)]
+    data, final = fitted(AXIS_RIG, AXIS_TERMS, *records)
+    found = unmodelled(data, final)
+    assert found is not None
+    assert (found.depends_on, found.acts) == (("position", "axis_velocity"), Over.POSITION_AGAINST)
+    assert within(found, lambda x: 0.3 * np.exp(-0.5 * ((x - 0.05) / 0.02) ** 2)) >= 0.9
+    assert found.after.rmse <= 1.3 * found.after.noise_floor
+    assert found.share >= 0.8
+    assert found.fit.problem.model is found.model
+
+
+def test_a_magnet_under_the_beam_is_found_where_it_is() -> None:
+    """It is a force over the ball's position; within a factor of 1.3 the error falls to the noise."""
+    data, final = fitted(
+        BALL_BEAM_RIG, BALL_TERMS, *held_balls(("hidden_magnet",), {"hidden_magnet.pull": 0.005})
+    )
+    found = unmodelled(data, final)
+    assert found is not None
+    assert (found.depends_on, found.acts, found.unit) == (("ball_position",), Over.POSITION, "N")
+
+    def law(x: FloatArray) -> FloatArray:
+        away = (x - 0.05) / 0.02
+        return np.asarray(-0.005 * away * np.exp(0.5 - 0.5 * away**2))
+
+    assert within(found, law) >= 0.9
+    assert found.after.rmse <= 1.3 * found.after.noise_floor
+    assert found.share >= 0.8
+
+
+@pytest.mark.parametrize("rig", ["axis", "ball_beam"])
+def test_nothing_is_found_where_nothing_is(rig: str) -> None:
+    """A model that has all there is leaves nothing to explain."""
+    if rig == "axis":
+        records = [held_axis((), {"constant_force.force": -0.5}, seed, 3000) for seed in (3, 4)]
+        data, final = fitted(AXIS_RIG, AXIS_TERMS, *records)
+    else:
+        data, final = fitted(BALL_BEAM_RIG, BALL_TERMS, *held_balls((), {}))
+    assert unmodelled(data, final) is None
+
+
+@pytest.mark.parametrize("kind", ["ball_beam", "dc_motor", "solenoid", "axis"])
+@pytest.mark.parametrize("acts", [Over.TIME, Over.POSITION])
+def test_no_force_changes_nothing(kind: str, acts: Over) -> None:
+    """A force that is zero everywhere gives the same numbers to the last bit."""
+    case: Case = CASES[kind]
+    record = case.simulate(1, False).record
+    model = model_for(parse_rig(case.rig, Path("rig.toml")), record)
+    assert isinstance(model, Yielding)
+    theta = start_theta(model, case.truth)
+    windows = fit_windows(record, 0.4 * model.horizon)
+    states = model.initial_states(record, windows)
+    grid = np.linspace(-10.0, 10.0, 5)
+    nothing = ExtraForce(acts, grid, np.zeros(5), np.inf, course=np.zeros(len(record)))
+    plain = model.simulate(theta, record, windows, states)
+    assert np.array_equal(plain, model.with_force(nothing).simulate(theta, record, windows, states))
