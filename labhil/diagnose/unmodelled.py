@@ -8,9 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labhil.diagnose.closed_forms import closed_form
-from labhil.diagnose.evidence import Evidence, heldout_gain
-from labhil.diagnose.search import TRUSTED, Data, supported
-from labhil.identify.curve import (
+from labhil.diagnose.curve import (
     Band,
     Curved,
     band,
@@ -26,6 +24,8 @@ from labhil.identify.curve import (
     shortened,
     worth,
 )
+from labhil.diagnose.evidence import Evidence, heldout_gain
+from labhil.diagnose.search import TRUSTED, Data, supported
 from labhil.identify.extended import NAME, Coordinate
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score, score
