@@ -73,7 +73,7 @@ def test_where_nothing_is_concealed_nothing_is_found(kind):
 @pytest.mark.parametrize(
     ("kind", "concealed", "enters"),
     [
-        ("dc_motor", ("dead_zone",), "input"),
+        pytest.param("dc_motor", ("dead_zone",), "input", marks=pytest.mark.extended),
         pytest.param("dc_motor", ("coulomb_friction",), "force", marks=pytest.mark.extended),
         pytest.param("dc_motor", ("brush_drop",), "electrical", marks=pytest.mark.extended),
         pytest.param("axis", ("stribeck_friction",), "force", marks=pytest.mark.extended),

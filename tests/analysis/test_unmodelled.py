@@ -81,6 +81,7 @@ def within(found: Unmodelled, law: Law) -> float:
     return float(np.mean((truth >= found.low) & (truth <= found.high)))
 
 
+@pytest.mark.extended
 def test_a_sticky_patch_is_found_where_it_is() -> None:
     """It is dry friction over the position; the rest of the record is at the noise."""
     parameters = {
@@ -99,6 +100,7 @@ def test_a_sticky_patch_is_found_where_it_is() -> None:
     assert found.fit.problem.model is found.model
 
 
+@pytest.mark.extended
 def test_a_magnet_under_the_beam_is_found_where_it_is() -> None:
     """It is a force over the ball's position; most of the error goes."""
     data, final = fitted(
@@ -116,7 +118,8 @@ def test_a_magnet_under_the_beam_is_found_where_it_is() -> None:
     assert found.share >= 0.9
 
 
-@pytest.mark.parametrize("rig", ["axis", pytest.param("ball_beam", marks=pytest.mark.extended)])
+@pytest.mark.extended
+@pytest.mark.parametrize("rig", ["axis", "ball_beam"])
 def test_nothing_is_found_where_nothing_is(rig: str) -> None:
     """A model that has all there is leaves nothing to explain."""
     if rig == "axis":
