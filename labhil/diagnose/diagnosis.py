@@ -15,7 +15,8 @@ from labhil.diagnose.contradiction import structure_p_value
 from labhil.diagnose.evidence import bic, effective_samples
 from labhil.diagnose.intake import Fault, usable
 from labhil.diagnose.intake import faults as faults_of
-from labhil.diagnose.search import Data, Found, search
+from labhil.diagnose.judge import Data
+from labhil.diagnose.search import Found, search
 from labhil.diagnose.unmodelled import Unmodelled, unmodelled
 from labhil.identify.fitted import Fitted, climb, covariances, start_theta
 from labhil.identify.noise import lasting_noise

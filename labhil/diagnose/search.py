@@ -8,22 +8,17 @@ support.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
-from scipy import stats
 
-from labhil.diagnose.evidence import Evidence, best_heldout_gain, bic, effective_samples, search_p_value
+from labhil.diagnose.evidence import Evidence, bic, effective_samples, search_p_value
+from labhil.diagnose.judge import NEEDED_BIC, Data, compare, supported
+from labhil.diagnose.screen import Candidate, Progress, Screen, candidates, rank
 from labhil.identify.fitted import WORST_GROWTH, Fitted, climb, fit_terms
-from labhil.identify.problem import Linearised, Point, Problem
-from labhil.identify.score import Score, score
-from labhil.physics.model import Model, Record, index_of, starts_of, terms_named
-from labhil.signals import FloatArray
-
-Progress = Callable[[str], None]
+from labhil.physics.model import Model, index_of
 
 SETTLED = 1.05
 """A fit whose residuals are at most this much above the noise has found what it could."""
@@ -31,20 +26,11 @@ SETTLED = 1.05
 LONGER = (2.0, 4.0)
 """The last fits are on windows that are this much longer than those of the search: they know more."""
 
-COST = 2e-3
-"""Share of the residuals that each parameter has to promise."""
-
 CONFIRMED = 5
 """How many of the screened candidates are refitted at each step."""
 
 CONFIRMED_PAIRS = 3
 """How many pairs of them, while the residuals are above the noise."""
-
-NEEDED_BIC = -10.0
-"""Very strong evidence on the search data, in the usual reading of BIC."""
-
-ALLOWANCE = 0.5
-"""Share of the evidence needed that a projection has to promise where only promising terms are refitted."""
 
 STILL_NOISY = 1.15
 """Residuals this much above the noise say that something is still missing."""
@@ -64,21 +50,6 @@ HOPEFUL = 0.5
 RIVAL_BIC = 10.0
 """A rival within this stays on the list: it is under five nats behind."""
 
-JUDGED_SHARES = (1.0, 0.25)
-"""What acts slowly shows on long windows, what acts fast and often on many short ones."""
-
-ALPHA = 0.1
-"""One-sided level of the held-out test that every step has to pass by itself."""
-
-TRUSTED = 1e-6
-"""The search data's p value is trusted down to this: noise is never quite what it is taken for."""
-
-TOGETHER = 5e-4
-"""Level of both tests together (Fisher's method)."""
-
-JUDGED_LENGTH, JUDGED_WINDOWS = 4.0 / 3.0, 10
-"""Judged windows are this much longer than those of the search, or so short that they can be counted."""
-
 
 @dataclass(frozen=True, slots=True)
 class Step:
@@ -96,30 +67,6 @@ class Rival:
     term: str
     instead_of: str
     delta_bic: float
-
-
-@dataclass(frozen=True, slots=True)
-class Data:
-    """What a search works on: search and test records with their noise, and the windows' length in s.
-
-    ``begin`` is the vector that fits begin at; parameters with a key in ``held`` stay there.
-    """
-
-    model: Model
-    search: Record
-    test: Record
-    sigma: FloatArray
-    test_sigma: FloatArray
-    window: float
-    begin: FloatArray
-    held: frozenset[str] = frozenset()
-
-    def judge(self, theta: FloatArray) -> tuple[Score, ...]:
-        """Scores on held-out windows short enough to be counted: on long ones, and on short ones."""
-        duration = float(self.test.t[-1] - self.test.t[0])
-        length = min(JUDGED_LENGTH * self.window, duration / JUDGED_WINDOWS)
-        shares = JUDGED_SHARES if self.model.state_names else (1.0,)
-        return tuple(score(self.model, theta, self.test, self.test_sigma, share * length) for share in shares)
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +128,7 @@ class Hunt:
         ``only_promising`` candidates are those of which the projection promises strong evidence.
         """
         while True:
-            ranked, pairs = _ranked(self.data, trail.current, self.executor, self.progress)
+            ranked, pairs = rank(self.data, trail.current, self.executor, self.progress)
             if only_promising:
                 ranked, pairs = ([c for c in found if c.promising] for found in (ranked, pairs))
             accepted = self._added(trail, ranked, pairs)
@@ -244,18 +191,6 @@ class Hunt:
         return _first_accepted(self.data, current, trials, self.looks), trials
 
 
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """A group of terms with the share of the squared residuals that it promises to explain.
-
-    ``promising`` says that this would be strong evidence, with some allowance for what a projection misses.
-    """
-
-    group: tuple[str, ...]
-    share: float
-    promising: bool
-
-
 def _onward(data: Data, fitted: Fitted) -> Fitted:
     """Refit on the data's windows.
 
@@ -270,34 +205,6 @@ def _onward(data: Data, fitted: Fitted) -> Fitted:
     lengths = [share * data.window for share in (0.25, 0.5, 1.0)]
     anew = climb(model, record, terms, lengths, sigma, start=data.begin, fresh=terms, held=held)[-1]
     return min(onward, anew, key=lambda candidate: candidate.solution.cost)
-
-
-def _ranked(
-    data: Data, current: Fitted, executor: Executor, progress: Progress
-) -> tuple[list[Candidate], list[Candidate]]:
-    """Absent terms, and pairs of them, those that promise most first.
-
-    Pairs count from the start: one effect that hides another (a constant force under dry friction)
-    would let a wrong third explain a little of both.
-    """
-    groups = candidates(data.model, current.terms)
-    progress(f"screening {len(groups)} candidates and their pairs beside {', '.join(current.terms)}")
-    screen = Screen.of(data, current)
-    columns = list(executor.map(screen.columns_of, groups))
-    single = [screen.candidate([own], group) for own, group in zip(columns, groups, strict=True)]
-    pairs = [
-        screen.candidate([columns[i], columns[j]], joined)
-        for i, j in combinations(range(len(groups)), 2)
-        for joined in [tuple(dict.fromkeys((*groups[i], *groups[j])))]
-        if not set(groups[i]) & set(groups[j])
-    ]
-    return sorted(single, key=lambda c: -c.share), sorted(pairs, key=lambda c: -c.share)
-
-
-def candidates(model: Model, present: Sequence[str]) -> list[tuple[str, ...]]:
-    """Every absent term, together with those that it builds on (Stribeck friction on Coulomb friction)."""
-    absent = [name for name in model.terms if name not in present]
-    return [(*(t for t in model.terms[name].with_terms if t in absent), name) for name in absent]
 
 
 def without(model: Model, terms: Sequence[str], term: str) -> tuple[str, ...]:
@@ -328,97 +235,6 @@ def _finish_best(data: Data, trials: Sequence[Fitted], executor: Executor) -> li
     finished = list(executor.map(lambda t: _refit(data, t, t.terms, (), thorough=True), leading))
     effective = min(effective_samples(t) for t in finished)
     return sorted(finished, key=lambda trial: bic(trial, effective))
-
-
-@dataclass(frozen=True, slots=True)
-class Screen:
-    """What candidates promise beside a fitted model, by projection, without refitting.
-
-    Columns are slopes at neutral for parameters that act there, secants to their starts for the rest;
-    what the model's own parameters and the windows' states explain is taken out first.
-    """
-
-    data: Data
-    current: Fitted
-    lin: Linearised
-    basis: FloatArray
-    target: FloatArray
-
-    @classmethod
-    def of(cls, data: Data, current: Fitted) -> Screen:
-        """Prepare the projection that all candidates share."""
-        problem = current.problem
-        residuals = current.solution.residuals
-        lin = problem.linearise(current.solution.point, residuals)
-        own = problem.project(lin, np.column_stack([lin.by_parameters, residuals]))
-        basis, target = _orthonormal(own[:, :-1]), own[:, -1]
-        return cls(data, current, lin, basis, target - basis @ (basis.T @ target))
-
-    def columns_of(self, group: Sequence[str]) -> FloatArray:
-        """The group's projected columns (N, k), at those of its starts that explain most."""
-        best, most = np.empty((len(self.target), 0)), -1.0
-        for columns in _columns(self.data, self.current, group):
-            new = self.current.problem.project(self.lin, columns)
-            new = _orthonormal(new - self.basis @ (self.basis.T @ new))
-            explained = float(np.sum((new.T @ self.target) ** 2))
-            if explained > most:
-                best, most = new, explained
-        return best
-
-    def candidate(self, columns: Sequence[FloatArray], group: tuple[str, ...]) -> Candidate:
-        """What these columns of a group promise."""
-        share = self.promise(columns, group)
-        added = sum(len(self.data.model.terms[name].parameters) for name in group)
-        explained = min(max(share + COST * added, 0.0), 1.0 - 1e-9)
-        effective = effective_samples(self.current)
-        gain = effective * np.log(1.0 - explained) + added * np.log(effective)
-        return Candidate(group, share, bool(gain < ALLOWANCE * NEEDED_BIC))
-
-    def promise(self, columns: Sequence[FloatArray], group: Sequence[str]) -> float:
-        """Share of the squared residuals that these columns explain; more parameters must promise more."""
-        new = columns[0] if len(columns) == 1 else _orthonormal(np.column_stack(columns))
-        total = float(self.target @ self.target)
-        share = float(np.sum((new.T @ self.target) ** 2)) / total if total > 0 else 0.0
-        return share - COST * sum(len(self.data.model.terms[name].parameters) for name in group)
-
-
-def _columns(data: Data, current: Fitted, group: Sequence[str]) -> list[FloatArray]:
-    """For each set of starts, what each parameter of the group changes in the residuals, (N, k)."""
-    model, problem = data.model, current.problem
-    terms = terms_named(model, group)
-    places = index_of(model.parameters)
-    before = current.solution.residuals
-    sets = []
-    for values in starts_of(model, terms, data.search):
-        columns = []
-        shapes = {p.key for term in terms for p in term.parameters if p.shape}
-        for term in terms:
-            for parameter in term.parameters:
-                if parameter.shape:
-                    continue
-                theta = current.theta.copy()
-                for name in shapes:
-                    theta[places[name]] = values[name]
-                theta[places[parameter.key]] = values[parameter.key] or 1e-2 * parameter.scale
-                columns.append(_residuals_at(problem, theta, current.solution.point.states) - before)
-        sets.append(np.column_stack(columns))
-    return sets
-
-
-def _residuals_at(problem: Problem, theta: FloatArray, states: FloatArray) -> FloatArray:
-    nothing = np.empty(0, dtype=np.int64)
-    moved = Problem(problem.model, problem.record, problem.windows, nothing, theta, problem.sigma)
-    return moved.residuals(Point(np.empty(0), states))
-
-
-def _orthonormal(columns: FloatArray) -> FloatArray:
-    """An orthonormal basis of the span of columns (N, k), those of no length left out."""
-    length = np.linalg.norm(columns, axis=0)
-    columns = columns[:, length > 1e-9 * max(float(length.max(initial=0.0)), 1e-300)]
-    if not columns.shape[1]:
-        return columns
-    left, singular, _ = np.linalg.svd(columns / np.linalg.norm(columns, axis=0), full_matrices=False)
-    return np.asarray(left[:, singular > 1e-8])
 
 
 def _refit(
@@ -457,24 +273,6 @@ def _first_accepted(data: Data, current: Fitted, trials: Sequence[Fitted], looks
         if supported(*compare(data, current, trial, before, looks)):
             return trial
     return None
-
-
-def compare(
-    data: Data, before: Fitted, after: Fitted, scores_before: Sequence[Score], looks: int
-) -> tuple[Evidence, float]:
-    """Evidence for ``after`` over ``before``, and the search data's corrected p value."""
-    effective = effective_samples(after)
-    gain, p_value = best_heldout_gain(scores_before, data.judge(after.theta))
-    delta = bic(after, effective) - bic(before, effective)
-    return Evidence(delta, p_value, gain), search_p_value(before, after, effective, looks)
-
-
-def supported(evidence: Evidence, p_search: float) -> bool:
-    """Both kinds of data must speak for a step, each by itself and both together."""
-    if evidence.delta_bic >= NEEDED_BIC or evidence.heldout_loglik_gain <= 0 or evidence.p_value >= ALPHA:
-        return False
-    both = -2.0 * (np.log(max(p_search, TRUSTED)) + np.log(max(evidence.p_value, 1e-300)))
-    return bool(stats.chi2.sf(both, 4) < TOGETHER)
 
 
 def _swap(
@@ -564,6 +362,3 @@ def _steps_of(data: Data, baseline: Fitted, final: Fitted, looks: int) -> tuple[
         evidence, p_search = compare(data, reduced, final, data.judge(reduced.theta), looks)
         kept.append(Step((term,), evidence, p_search))
     return tuple(sorted(kept, key=lambda step: step.evidence.delta_bic))
-
-
-__all__ = ["Data", "Found", "Rival", "Step", "candidates", "search"]

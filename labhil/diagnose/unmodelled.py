@@ -25,7 +25,7 @@ from labhil.diagnose.curve import (
     worth,
 )
 from labhil.diagnose.evidence import Evidence, heldout_gain
-from labhil.diagnose.search import TRUSTED, Data, supported
+from labhil.diagnose.judge import TRUSTED, Data, supported
 from labhil.identify.extended import NAME, Coordinate
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score, score

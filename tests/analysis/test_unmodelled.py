@@ -15,7 +15,7 @@ from labhil.campaign.benchmark.cases import (
     held_ball,
 )
 from labhil.campaign.benchmark.trial import Case
-from labhil.diagnose.search import Data
+from labhil.diagnose.judge import Data
 from labhil.diagnose.unmodelled import Unmodelled, unmodelled
 from labhil.identify.fitted import Fitted, climb, start_theta
 from labhil.identify.windows import fit_windows, noise_of

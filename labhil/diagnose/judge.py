@@ -1,0 +1,75 @@
+"""What a search works on, and when its two kinds of data speak for a step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from labhil.diagnose.evidence import Evidence, best_heldout_gain, bic, effective_samples, search_p_value
+from labhil.identify.fitted import Fitted
+from labhil.identify.score import Score, score
+from labhil.physics.model import Model, Record
+from labhil.signals import FloatArray
+
+NEEDED_BIC = -10.0
+"""Very strong evidence on the search data, in the usual reading of BIC."""
+
+JUDGED_LENGTH, JUDGED_WINDOWS = 4.0 / 3.0, 10
+"""Judged windows are this much longer than those of the search, or so short that they can be counted."""
+
+JUDGED_SHARES = (1.0, 0.25)
+"""What acts slowly shows on long windows, what acts fast and often on many short ones."""
+
+ALPHA = 0.1
+"""One-sided level of the held-out test that every step has to pass by itself."""
+
+TRUSTED = 1e-6
+"""The search data's p value is trusted down to this: noise is never quite what it is taken for."""
+
+TOGETHER = 5e-4
+"""Level of both tests together (Fisher's method)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Data:
+    """What a search works on: search and test records with their noise, and the windows' length in s.
+
+    ``begin`` is the vector that fits begin at; parameters with a key in ``held`` stay there.
+    """
+
+    model: Model
+    search: Record
+    test: Record
+    sigma: FloatArray
+    test_sigma: FloatArray
+    window: float
+    begin: FloatArray
+    held: frozenset[str] = frozenset()
+
+    def judge(self, theta: FloatArray) -> tuple[Score, ...]:
+        """Scores on held-out windows short enough to be counted: on long ones, and on short ones."""
+        duration = float(self.test.t[-1] - self.test.t[0])
+        length = min(JUDGED_LENGTH * self.window, duration / JUDGED_WINDOWS)
+        shares = JUDGED_SHARES if self.model.state_names else (1.0,)
+        return tuple(score(self.model, theta, self.test, self.test_sigma, share * length) for share in shares)
+
+
+def compare(
+    data: Data, before: Fitted, after: Fitted, scores_before: Sequence[Score], looks: int
+) -> tuple[Evidence, float]:
+    """Evidence for ``after`` over ``before``, and the search data's corrected p value."""
+    effective = effective_samples(after)
+    gain, p_value = best_heldout_gain(scores_before, data.judge(after.theta))
+    delta = bic(after, effective) - bic(before, effective)
+    return Evidence(delta, p_value, gain), search_p_value(before, after, effective, looks)
+
+
+def supported(evidence: Evidence, p_search: float) -> bool:
+    """Both kinds of data must speak for a step, each by itself and both together."""
+    if evidence.delta_bic >= NEEDED_BIC or evidence.heldout_loglik_gain <= 0 or evidence.p_value >= ALPHA:
+        return False
+    both = -2.0 * (np.log(max(p_search, TRUSTED)) + np.log(max(evidence.p_value, 1e-300)))
+    return bool(stats.chi2.sf(both, 4) < TOGETHER)
