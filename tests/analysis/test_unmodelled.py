@@ -26,6 +26,8 @@ from labhil.plants.axis import AxisPlant
 from labhil.rig import parse_rig
 from labhil.signals import FloatArray, Hold
 
+pytestmark = pytest.mark.timeout(600)
+
 AXIS_TERMS = ("viscous_friction", "coulomb_friction", "constant_force")
 AXIS_RIG = '[rig]\nkind = "axis"\n[metric]\nhorizon = 1.4\n'
 BALL_TERMS = ("viscous_friction", "coulomb_friction")
