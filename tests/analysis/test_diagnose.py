@@ -275,7 +275,6 @@ def test_numbers_that_are_not_finite_become_null(null):
 EFFECTS = {
     "dead_zone": {"dead_zone.left": 0.06, "dead_zone.right": 0.08},
     "time_delay": {"time_delay.delay": 0.05},
-    "backlash": {"backlash.gap": 0.08},
 }
 
 
