@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from labhil.diagnose.evidence import independent
+from labhil.diagnose.evidence import bic
 from labhil.identify.extended import NAME, Coordinate, ExtendedModel
 from labhil.identify.fitted import Fitted
 from labhil.identify.least_squares import Solution, fit_states, search_states
@@ -177,14 +177,7 @@ def _minimised(curved: Curved, start: Point | None, iterations: int) -> Curved:
 
 def criterion(curved: Curved, effective: float) -> float:
     """Schwarz's criterion with the effective degrees of freedom of the smoothed curve."""
-    residuals = curved.fitted.solution.residuals.reshape(-1, len(curved.fitted.problem.sigma))
-    power = np.maximum(np.mean(residuals**2, axis=0), 1e-300)
-    return float(effective * np.mean(np.log(power)) + curved.degrees * np.log(effective))
-
-
-def worth(curved: Curved) -> float:
-    """How many independent residuals those of the fit are worth."""
-    return independent(curved.fitted.solution.residuals.reshape(-1, len(curved.fitted.problem.sigma)))
+    return bic(curved.fitted, effective, curved.degrees)
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,6 +21,7 @@ from labhil.diagnose.unmodelled import Unmodelled, unmodelled
 from labhil.identify.fitted import Fitted, climb, covariances, start_theta
 from labhil.identify.noise import lasting_noise
 from labhil.identify.score import Score, score
+from labhil.identify.statistics import Estimate
 from labhil.identify.table import table_of
 from labhil.identify.windows import noise_of
 from labhil.physics.model import Model, Record, terms_named
@@ -82,12 +83,13 @@ def diagnose(
     noise = lasting_noise(model, found.final.theta, held_out, noise_of(held_out))
     before = score(model, base.theta, held_out, noise, horizon)
     after = score(model, found.final.theta, held_out, noise, horizon) if found.missing else before
-    beyond = _beyond(data, found, after)
+    unexplained = _unexplained(found, after)
+    beyond = _beyond(data, found) if unexplained else None
     after = after if beyond is None else score(beyond.model, beyond.fit.theta, held_out, noise, horizon)
     final = table_of(found.final).rows
-    changed = _changes(model, base, found, reference)
+    changed = _changes(final, reference)
     return Diagnosis(
-        verdict=_verdict(found, changed, after, beyond),
+        verdict=_verdict(found, changed, beyond, unexplained),
         faults=faults,
         p_value=found.p_value,
         p_value_method="tail_extrapolated",
@@ -115,10 +117,8 @@ def diagnose(
     )
 
 
-def _beyond(data: Data, found: Found, after: Score) -> Unmodelled | None:
-    """A force that no named term explains, where something is left to explain."""
-    if not _unexplained(found, after):
-        return None
+def _beyond(data: Data, found: Found) -> Unmodelled | None:
+    """A force that no named term explains, judged on windows as long as those of the final fit."""
     rows = found.final.problem.windows
     length = float(data.search.t[rows.last[0] - 1] - data.search.t[rows.first[0]])
     return unmodelled(replace(data, window=length), found.final)
@@ -162,15 +162,16 @@ def _excited(record: Record, sigma: np.ndarray) -> bool:
     return bool(moved.all() and np.std(record.inputs[:, 0]) > 0)
 
 
-def _verdict(found: Found, changed: tuple[Change, ...], after: Score, beyond: Unmodelled | None) -> str:
+def _verdict(found: Found, changed: tuple[Change, ...], beyond: Unmodelled | None, unexplained: bool) -> str:
     if found.missing or beyond is not None:
         return "missing_physics"
-    if _unexplained(found, after):
+    if unexplained:
         return "unexplained_mismatch"
     return "parameter_change" if changed else "no_mismatch"
 
 
 def _unexplained(found: Found, after: Score) -> bool:
+    """Whether named terms leave more than noise."""
     excess = after.rmse / after.noise_floor
     return excess > SURELY_UNEXPLAINED or (excess > UNEXPLAINED and _structured(found.final))
 
@@ -183,13 +184,11 @@ def _structured(final: Fitted) -> bool:
     return len(p_values) * min(p_values) < FALSE_ALARM
 
 
-def _changes(
-    model: Model, base: Fitted, found: Found, reference: Mapping[str, float] | None
-) -> tuple[Change, ...]:
+def _changes(final: Sequence[Estimate], reference: Mapping[str, float] | None) -> tuple[Change, ...]:
     """Reference values that the refitted model contradicts at the level of the verdict."""
     if not reference:
         return ()
-    rows = {keyed(row.name, row.joint): row for row in table_of(found.final).rows}
+    rows = {keyed(row.name, row.joint): row for row in final}
     compared = [(rows[name], value) for name, value in reference.items() if name in rows]
     changes = []
     for row, value in compared:

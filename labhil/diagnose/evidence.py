@@ -42,9 +42,13 @@ def independent(residuals: FloatArray) -> float:
     return residuals.size * (1.0 - rho) / (1.0 + rho)
 
 
-def bic(fitted: Fitted, effective: float) -> float:
-    """Schwarz's criterion with as many samples as the residuals are worth; windows' states cost the same."""
-    return float(effective * _log_power(fitted) + len(fitted.problem.free) * np.log(effective))
+def bic(fitted: Fitted, effective: float, degrees: float | None = None) -> float:
+    """Schwarz's criterion with as many samples as the residuals are worth; windows' states cost the same.
+
+    ``degrees`` are the free parameters, where they are not simply counted.
+    """
+    free = len(fitted.problem.free) if degrees is None else degrees
+    return float(effective * _log_power(fitted) + free * np.log(effective))
 
 
 def search_p_value(before: Fitted, after: Fitted, effective: float, looks: int) -> float:

@@ -135,12 +135,13 @@ def _columns(data: Data, current: Fitted, group: Sequence[str]) -> list[FloatArr
                 for name in shapes:
                     theta[places[name]] = values[name]
                 theta[places[parameter.key]] = values[parameter.key] or 1e-2 * parameter.scale
-                columns.append(_residuals_at(problem, theta, current.solution.point.states) - before)
+                columns.append(residuals_at(problem, theta, current.solution.point.states) - before)
         sets.append(np.column_stack(columns))
     return sets
 
 
-def _residuals_at(problem: Problem, theta: FloatArray, states: FloatArray) -> FloatArray:
+def residuals_at(problem: Problem, theta: FloatArray, states: FloatArray) -> FloatArray:
+    """Residuals (N·c,) of a problem's windows at another vector ``theta``, all of it held."""
     nothing = np.empty(0, dtype=np.int64)
     moved = Problem(problem.model, problem.record, problem.windows, nothing, theta, problem.sigma)
     return moved.residuals(Point(np.empty(0), states))

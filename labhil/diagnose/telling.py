@@ -11,13 +11,15 @@ from scipy import stats
 from labhil.diagnose import locate
 from labhil.diagnose.answer import Curve, Excluded, Missing, RivalTerm, Undecided
 from labhil.diagnose.judge import Data
+from labhil.diagnose.screen import residuals_at
 from labhil.diagnose.search import Found, Rival, Step
 from labhil.diagnose.unmodelled import Unmodelled
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score
 from labhil.identify.statistics import Estimate
 from labhil.physics.model import Model, Record, index_of
-from labhil.physics.terms import keyed, unkeyed
+from labhil.physics.terms import Parameter, keyed, unkeyed
+from labhil.signals import FloatArray
 
 
 def missing(model: Model, step: Step, found: Found, final: list[Estimate]) -> Missing:
@@ -146,15 +148,15 @@ def excluded(data: Data, found: Found) -> tuple[Excluded, ...]:
     problem, solution = found.final.problem, found.final.solution
     lin = problem.linearise(solution.point, solution.residuals)
     own = problem.project(lin, lin.by_parameters)
+    basis, _ = np.linalg.qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300))
     noise = found.final.noise
     limits = []
     for key, term in data.model.terms.items():
         if key in found.final.terms:
             continue
         parameter = next(p for p in term.parameters if not p.shape)
-        column = _slope(found.final, parameter.key)
+        column = _slope(found.final, parameter)
         column = problem.project(lin, column[:, None])[:, 0]
-        basis, _ = np.linalg.qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300))
         column = column - basis @ (basis.T @ column)
         power = float(column @ column)
         if power <= 1e-12:
@@ -166,14 +168,10 @@ def excluded(data: Data, found: Found) -> tuple[Excluded, ...]:
     return tuple(limits)
 
 
-def _slope(final: Fitted, key: str) -> np.ndarray:
-    """Change of the residuals per scale of a parameter at neutral, from a small finite step."""
-    model, problem = final.problem.model, final.problem
-    parameter = next(p for p in model.parameters if p.key == key)
+def _slope(final: Fitted, parameter: Parameter) -> FloatArray:
+    """Change of the residuals (N,) per scale of a parameter at neutral, from a small finite step."""
     step = 1e-2
     theta = final.theta.copy()
-    theta[index_of(model.parameters)[key]] += step * parameter.scale
-    simulated = model.simulate(theta, problem.record, problem.windows, final.solution.point.states)
-    measured = problem.record.outputs[problem.windows.rows]
-    residuals = ((simulated - measured) / problem.sigma).ravel()
+    theta[index_of(final.problem.model.parameters)[parameter.key]] += step * parameter.scale
+    residuals = residuals_at(final.problem, theta, final.solution.point.states)
     return np.asarray((residuals - final.solution.residuals) / step)

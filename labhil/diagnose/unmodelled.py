@@ -22,9 +22,8 @@ from labhil.diagnose.curve import (
     lengthened,
     refined,
     shortened,
-    worth,
 )
-from labhil.diagnose.evidence import Evidence, heldout_gain
+from labhil.diagnose.evidence import Evidence, effective_samples, heldout_gain
 from labhil.diagnose.judge import TRUSTED, Data, supported
 from labhil.identify.extended import NAME, Coordinate
 from labhil.identify.fitted import Fitted
@@ -178,11 +177,11 @@ def _leading(trials: Sequence[Curved]) -> list[Curved]:
 
 def _worth(trials: Sequence[Curved]) -> float:
     """Samples that count: of the fit with the least residuals, for those of a bad one are all alike."""
-    return worth(min(trials, key=lambda trial: trial.fitted.solution.cost))
+    return effective_samples(min(trials, key=lambda trial: trial.fitted.solution.cost).fitted)
 
 
 def _evidence(data: Data, final: Fitted, before: Score, chosen: Curved) -> Evidence:
-    effective = worth(chosen)
+    effective = effective_samples(chosen.fitted)
     power = float(np.mean(final.solution.residuals**2))
     without = effective * np.log(power) + len(final.problem.free) * np.log(effective)
     after = judged(data, chosen.model, chosen.fitted.theta, before)
