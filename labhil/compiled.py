@@ -12,10 +12,16 @@ import numba
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
+HOW: dict[str, Any] = {"nogil": True, "fastmath": {"contract"}, "error_model": "numpy", "forceinline": True}
+"""Products may go into sums without rounding in between; a division by zero is infinite, as in arrays.
+
+Laws are small functions that a kernel calls many times per sample: inlined they run up to twice as fast.
+"""
+
 
 def compiled(function: Function) -> Function:
     """Compile ``function`` to machine code at its first call and cache that on disk beside the source."""
-    return cast(Function, numba.njit(cache=True, fastmath=False, nogil=True)(function))
+    return cast(Function, numba.njit(cache=True, **HOW)(function))
 
 
 def specialised(function: Function) -> Function:
@@ -24,4 +30,4 @@ def specialised(function: Function) -> Function:
     Such a function cannot be found again on disk; the kernel that calls it can, and has it inside.
     """
     inlined: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    return cast(Function, numba.njit(fastmath=False, nogil=True, **inlined)(function))
+    return cast(Function, numba.njit(**HOW, **inlined)(function))

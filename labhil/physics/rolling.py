@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from labhil.compiled import compiled
+from labhil.physics.bracket import Bracket, crossing, narrowed
 from labhil.physics.extra_force import Beyond
 from labhil.signals import FloatArray, IntArray
 
@@ -193,23 +194,18 @@ def step_length(v: float, pull: float, k: FloatArray) -> float:
 def time_to_rest(
     a1: float, x: float, v: float, side: float, crank: Crank, t: float, h: float, k: FloatArray
 ) -> float:
-    """When within a step of length h, that ends with the velocity reversed, it is zero (Illinois method)."""
-    low, f_low = 0.0, v * side
-    high, f_high = h, runge_kutta(a1, x, v, side, crank, t, h, k)[1] * side
+    """When within a step of length h, that ends with the velocity reversed, it is zero."""
+    later = runge_kutta(a1, x, v, side, crank, t, h, k)[1]
+    between = Bracket(0.0, v * side, h, later * side, 0.0)
     for _ in range(60):
-        if high - low < 1e-10:
+        if between.high - between.low < 1e-10:
             break
-        middle = (low * f_high - high * f_low) / (f_high - f_low)
-        f = runge_kutta(a1, x, v, side, crank, t, middle, k)[1] * side
-        if abs(f) < 1e-10:
+        middle = crossing(between)
+        speed = runge_kutta(a1, x, v, side, crank, t, middle, k)[1] * side
+        if abs(speed) < 1e-10:
             return middle
-        if f > 0.0:
-            low, f_low = middle, f
-            f_high *= 0.5
-        else:
-            high, f_high = middle, f
-            f_low *= 0.5
-    return 0.5 * (low + high)
+        between = narrowed(between, middle, speed)
+    return 0.5 * (between.low + between.high)
 
 
 @compiled

@@ -18,6 +18,7 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 
 from labhil.compiled import compiled, specialised
+from labhil.physics.bracket import Bracket, crossing, narrowed
 from labhil.signals import FloatArray, IntArray
 
 Part = TypeVar("Part")
@@ -34,9 +35,6 @@ AT_ONCE = 1e6
 
 FINEST = 0.02
 """Shortest step that any law but a following quantity may ask for, as a share of the sampling period."""
-
-NOT_ONE_END = 0.01
-"""Share of a bracket that is cut off at least, or one of its ends would never move."""
 
 ITERATIONS, TINY = 80, 1e-300
 
@@ -177,7 +175,7 @@ def stepper(laws: Laws[Part, Course]) -> Step[Part]:
 
 
 def leaver(laws: Laws[Part, Course], step: Step[Part]) -> Event[Part]:
-    """Compile the moment when a resting part leaves towards ``side``, as it has at the end (Illinois)."""
+    """Compile the moment when a resting part leaves towards ``side``, as it has at the end."""
     grip = laws.grip
 
     @specialised
@@ -189,29 +187,27 @@ def leaver(laws: Laws[Part, Course], step: Step[Part]) -> Event[Part]:
     def time_to_leave(
         s: Motion, side: float, u: float, rise: float, h: float, how: Follows, stop: float, part: Part
     ) -> float:
-        low, f_low = 0.0, excess(s, u, side, part)
+        f_low = excess(s, u, side, part)
         if f_low >= 0.0:
             return 0.0
-        high, f_high = h, excess(step(s, 0.0, u, rise, h, how, part), u + h * rise, side, part)
+        f_high = excess(step(s, 0.0, u, rise, h, how, part), u + h * rise, side, part)
+        between = Bracket(0.0, f_low, h, f_high, 0.0)
+        close = 1e-14 * (abs(f_low) + abs(f_high))
         for _ in range(ITERATIONS):
-            if high - low < INSTANT:
+            if between.high - between.low < INSTANT:
                 break
-            share = min(max(-f_low / (f_high - f_low), NOT_ONE_END), 1.0 - NOT_ONE_END)
-            middle = low + share * (high - low)
+            middle = crossing(between)
             f = excess(step(s, 0.0, u, rise, middle, how, part), u + middle * rise, side, part)
-            if f > 0.0:
-                high, f_high = middle, f
-                f_low *= 0.5
-            else:
-                low, f_low = middle, f
-                f_high *= 0.5
-        return high
+            if abs(f) <= close:
+                return min(middle + INSTANT, h)
+            between = narrowed(between, middle, f)
+        return between.high
 
     return time_to_leave
 
 
 def finder(step: Step[Part]) -> Event[Part]:
-    """Compile the moment when a part stands still, or with a finite ``stop`` meets that (Illinois method)."""
+    """Compile the moment when a part stands still, or with a finite ``stop`` meets that."""
 
     @specialised
     def time_to_event(
@@ -219,24 +215,20 @@ def finder(step: Step[Part]) -> Event[Part]:
     ) -> float:
         meets = np.isfinite(stop)
         later = step(s, side, u, rise, h, how, part)
-        low, f_low = 0.0, (stop - s.x) * side if meets else s.v * side
-        high, f_high = h, (stop - later.x) * side if meets else later.v * side
+        f_low = (stop - s.x) * side if meets else s.v * side
+        f_high = (stop - later.x) * side if meets else later.v * side
+        between = Bracket(0.0, f_low, h, f_high, 0.0)
         close = 1e-14 * (abs(f_low) + abs(f_high))
         for _ in range(ITERATIONS):
-            if high - low < INSTANT or f_high == f_low:
+            if between.high - between.low < INSTANT or f_high == f_low:
                 break
-            middle = (low * f_high - high * f_low) / (f_high - f_low)
+            middle = crossing(between)
             there = step(s, side, u, rise, middle, how, part)
             f = (stop - there.x) * side if meets else there.v * side
             if abs(f) <= close:
                 return middle
-            if f > 0.0:
-                low, f_low = middle, f
-                f_high *= 0.5
-            else:
-                high, f_high = middle, f
-                f_low *= 0.5
-        return 0.5 * (low + high)
+            between = narrowed(between, middle, f)
+        return 0.5 * (between.low + between.high)
 
     return time_to_event
 
