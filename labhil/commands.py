@@ -139,6 +139,9 @@ def benchmark(
     cases: Annotated[list[str] | None, typer.Argument(help="Which (default: all).")] = None,
     *,
     recordings: Annotated[int, typer.Option(help="With white noise, and as many with coloured.")] = 150,
+    starts: Annotated[
+        int | None, typer.Option(help="Instead: fit one recording from so many random starts.")
+    ] = None,
     out: Annotated[Path, typer.Option("-o", "--out", help="Where results are kept.")] = Path(
         "labhil-benchmark"
     ),
@@ -148,12 +151,19 @@ def benchmark(
     Every finished recording is kept at once; the same command goes on where it was interrupted.
     """
     from labhil.campaign.benchmark.cases import CASES
-    from labhil.campaign.benchmark.run import run_benchmark
+    from labhil.campaign.benchmark.run import run_benchmark, run_starts
+    from labhil.campaign.benchmark.starts import show as show_starts
     from labhil.campaign.benchmark.summary import show
 
-    with status() as say:
-        summaries = run_benchmark(cases or list(CASES), recordings, out, say)
+    names = cases or list(CASES)
     console = results_console()
+    if starts is not None:
+        with status() as say:
+            arrivals = run_starts(names, starts, out, say)
+        console.print(*(show_starts(each) for each in arrivals), sep="\n")
+        return
+    with status() as say:
+        summaries = run_benchmark(names, recordings, out, say)
     for summary in summaries:
         console.print(show(summary))
 

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import json
-import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from labhil.campaign.benchmark.cases import CASES
+from labhil.campaign.benchmark.kept import Job, Progress, each_once, numbers
+from labhil.campaign.benchmark.starts import Arrival, Arrivals, arrive
 from labhil.campaign.benchmark.summary import Summary, summarise
-from labhil.campaign.benchmark.trial import Row, Trial, run_trial
+from labhil.campaign.benchmark.trial import Case, Row, Trial, run_trial
 from labhil.errors import UnknownNameError, UsageError
 from labhil.report.results import finite
-
-Progress = Callable[[str], None]
 
 
 def run_benchmark(
@@ -26,59 +23,62 @@ def run_benchmark(
 
     Trials that stand in ``out`` already are not run again, so that an interrupted benchmark goes on.
     """
-    for name in names:
-        if name not in CASES:
-            raise UnknownNameError("benchmark case", name, CASES)
-    if recordings < 2:
-        raise UsageError(f"--recordings: expected at least 2, found {recordings}")
-    out.mkdir(parents=True, exist_ok=True)
+    cases = _cases(names, "--recordings", recordings, out)
     summaries = []
-    for name in names:
-        done = _trials(name, range(first_seed, first_seed + recordings), out / f"{name}.jsonl", progress)
-        for coloured in (False, True):
-            chosen = [trial for trial in done if trial.coloured is coloured]
-            summaries.append(summarise(CASES[name], chosen))
-    text = json.dumps([finite(s.to_json()) for s in summaries], ensure_ascii=False, indent=1)
-    (out / "summary.json").write_text(text + "\n", encoding="utf-8")
+    for case in cases:
+        seeds = range(first_seed, first_seed + recordings)
+        wanted = [(case.name, seed, coloured) for seed in seeds for coloured in (False, True)]
+        done = each_once(wanted, _one, out / f"{case.name}.jsonl", _trial, _job_of, progress)
+        kinds = ([trial for trial in done if trial.coloured is coloured] for coloured in (False, True))
+        summaries.extend(summarise(case, trials) for trials in kinds)
+    _write([s.to_json() for s in summaries], out / "summary.json")
     return summaries
 
 
-def _trials(name: str, seeds: range, path: Path, progress: Progress) -> list[Trial]:
-    """All trials of a case, those that are missing run and appended to ``path``."""
-    done = {(t.seed, t.coloured): t for t in _read(path)}
-    wanted = [(seed, coloured) for seed in seeds for coloured in (False, True)]
-    missing = [pair for pair in wanted if pair not in done]
-    if missing:
-        with path.open("a", encoding="utf-8") as file, ProcessPoolExecutor(os.cpu_count()) as executor:
-            futures = [executor.submit(_one, name, seed, coloured) for seed, coloured in missing]
-            try:
-                for count, future in enumerate(as_completed(futures), 1):
-                    trial = future.result()
-                    file.write(json.dumps(finite(asdict(trial)), ensure_ascii=False) + "\n")
-                    file.flush()
-                    done[trial.seed, trial.coloured] = trial
-                    progress(f"{name}: {count} of {len(missing)} recordings")
-            except KeyboardInterrupt:
-                executor.shutdown(cancel_futures=True)
-                raise
-    return [done[pair] for pair in wanted]
+def run_starts(names: Sequence[str], starts: int, out: Path, progress: Progress) -> list[Arrivals]:
+    """Fit one recording of each case from so many random starts within the bounds, kept likewise."""
+    found = []
+    for case in _cases(names, "--starts", starts, out):
+        # number 0 begins at the truth: where it ends is the optimum, unless a start ends lower
+        wanted = [(case.name, number) for number in range(starts + 1)]
+        path = out / f"{case.name}.starts.jsonl"
+        done = each_once(wanted, _from_start, path, lambda d: Arrival(**numbers(d)), _start_of, progress)
+        found.append(Arrivals(case.name, tuple(done)))
+    _write([each.to_json() for each in found], out / "starts.json")
+    return found
+
+
+def _cases(names: Sequence[str], option: str, count: int, out: Path) -> list[Case]:
+    for name in names:
+        if name not in CASES:
+            raise UnknownNameError("benchmark case", name, CASES)
+    if count < 2:
+        raise UsageError(f"{option}: expected at least 2, found {count}")
+    out.mkdir(parents=True, exist_ok=True)
+    return [CASES[name] for name in names]
+
+
+def _write(data: list[dict[str, Any]], path: Path) -> None:
+    text = json.dumps([finite(each) for each in data], ensure_ascii=False, indent=1)
+    path.write_text(text + "\n", encoding="utf-8")
 
 
 def _one(name: str, seed: int, coloured: bool) -> Trial:
     return run_trial(CASES[name], seed, coloured)
 
 
-def _read(path: Path) -> list[Trial]:
-    if not path.exists():
-        return []
-    return [_trial(json.loads(line)) for line in path.read_text(encoding="utf-8").splitlines() if line]
+def _from_start(name: str, number: int) -> Arrival:
+    return arrive(CASES[name], number)
+
+
+def _job_of(trial: Trial) -> Job:
+    return trial.case, trial.seed, trial.coloured
+
+
+def _start_of(arrival: Arrival) -> Job:
+    return arrival.case, arrival.number
 
 
 def _trial(data: dict[str, Any]) -> Trial:
-    rows = tuple(Row(**_numbers(row, float("inf"))) for row in data["rows"])
-    return Trial(**{**_numbers(data, float("nan")), "rows": rows})
-
-
-def _numbers(data: dict[str, Any], absent: float) -> dict[str, Any]:
-    """JSON has no infinities: null is what was not finite."""
-    return {key: absent if value is None else value for key, value in data.items()}
+    rows = tuple(Row(**numbers(row, float("inf"))) for row in data["rows"])
+    return Trial(**{**numbers(data), "rows": rows})
