@@ -84,7 +84,7 @@ def diagnose(
     before = score(model, base.theta, held_out, noise, horizon)
     after = score(model, found.final.theta, held_out, noise, horizon) if found.missing else before
     unexplained = _unexplained(found, after)
-    beyond = _beyond(data, found) if unexplained else None
+    found, beyond = _beyond(data, found) if unexplained else (found, None)
     after = after if beyond is None else score(beyond.model, beyond.fit.theta, held_out, noise, horizon)
     final = table_of(found.final).rows
     changed = _changes(final, reference)
@@ -117,11 +117,26 @@ def diagnose(
     )
 
 
-def _beyond(data: Data, found: Found) -> Unmodelled | None:
-    """A force that no named term explains, judged on windows as long as those of the final fit."""
-    rows = found.final.problem.windows
+def _beyond(data: Data, found: Found) -> tuple[Found, Unmodelled | None]:
+    """A force that no named term explains, and what was found without the terms that it makes needless.
+
+    Where a curve is the answer, named terms may only have stood in for it.
+    """
+    beyond = _curve(data, found.final)
+    if beyond is None or not found.missing:
+        return found, beyond
+    alone = _curve(data, found.baseline)
+    effective = effective_samples(beyond.fit)
+    if alone is None or bic(alone.fit, effective, alone.degrees) > bic(beyond.fit, effective, beyond.degrees):
+        return found, beyond
+    return replace(found, final=found.baseline, missing=(), rivals=()), alone
+
+
+def _curve(data: Data, final: Fitted) -> Unmodelled | None:
+    """A force beside a fit, judged on windows as long as those of that fit."""
+    rows = final.problem.windows
     length = float(data.search.t[rows.last[0] - 1] - data.search.t[rows.first[0]])
-    return unmodelled(replace(data, window=length), found.final)
+    return unmodelled(replace(data, window=length), final)
 
 
 def _fit_baseline(data: Data, terms: Sequence[str]) -> Fitted:

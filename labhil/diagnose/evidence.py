@@ -10,14 +10,18 @@ from scipy import stats
 
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score
+from labhil.identify.statistics import modelled_variance
 from labhil.physics.model import Metric
-from labhil.signals import FloatArray
+from labhil.signals import FloatArray, IntArray
 
 BLOCKS = 12
 """Into which the errors of inverse dynamics are cut."""
 
 STUDENT = 4.0
 """Degrees of freedom of the held-out likelihood: a window that a bad model loses must not decide alone."""
+
+CLIPPED = 3.0
+"""Noise levels beyond which an error counts no more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,23 +82,41 @@ def best_heldout_gain(before: Sequence[Score], after: Sequence[Score]) -> tuple[
 def heldout_gain(before: Score, after: Score) -> tuple[float, float]:
     """Log likelihood that a model gains on data it never saw, nats, and the p value that it gains at all.
 
-    Windows are independent, so they are what is counted: a one-sided t test of the gains of windows. Inverse
-    dynamics has one window, which is cut into blocks.
+    Nats count samples as independent as their neighbours let them be.
     """
     scale = np.array([max(c.noise_floor, c.rmse) for c in after.channels])
-    gain = _student(after.errors / scale) - _student(before.errors / scale)
+    errors_before, errors_after = before.errors / scale, after.errors / scale
+    owner = after.window
     if after.metric is Metric.INVERSE_DYNAMICS:
-        worth = _independent_share(after.errors)
-        gains = np.array([worth * block.sum() for block in np.array_split(gain, BLOCKS)])
-    else:
-        owners = np.unique(after.window)
-        # a window's samples are one smooth error, worth about as many as it has turns: count it as one
-        gains = np.array([gain[after.window == w].mean() for w in owners])
-    total = float(gains.sum())
-    if len(gains) < 3 or not np.any(gains):
-        return total, 1.0
-    t = gains.mean() / (gains.std(ddof=1) / np.sqrt(len(gains)) + 1e-300)
-    return total, float(stats.t.sf(t, len(gains) - 1))
+        owner = np.arange(len(errors_after)) * BLOCKS // len(errors_after)
+    gain = float(np.sum(_student(errors_after) - _student(errors_before)))
+    worth = _independent_share(errors_after)
+    return worth * gain, direction_p_value(errors_before, errors_after, owner)
+
+
+def direction_p_value(before: FloatArray, after: FloatArray, owner: IntArray) -> float:
+    """One-sided p value that scaled errors (n, channels) fall along the step from one model to another.
+
+    The step Δ was chosen on other data. Were the first model right, its errors would be noise, and their
+    product with Δ zero on average. The variance of that is taken from what the second model leaves, by an
+    autoregression of each channel and by windows (``owner``, (n,)), for slow errors last for a window: the
+    larger p value counts. Both factors are clipped, so that a window in which a model loses its way does not
+    decide.
+    """
+    step, left = _clipped(before - after), _clipped(after)
+    windows = len(np.unique(owner))
+    if windows < 3 or not np.any(step):
+        return 1.0
+    product = float(np.sum(step * _clipped(before)))
+    by_window = np.bincount(owner, np.sum(step * left, axis=1))
+    modelled = float(modelled_variance(step.reshape(-1, 1), left.ravel(), left.shape[1])[0, 0])
+    by_samples = stats.norm.sf(product / np.sqrt(modelled + 1e-300))
+    by_windows = stats.t.sf(product / np.sqrt(by_window @ by_window + 1e-300), windows - 1)
+    return float(max(by_samples, by_windows))
+
+
+def _clipped(errors: FloatArray) -> FloatArray:
+    return np.clip(errors, -CLIPPED, CLIPPED)
 
 
 def _independent_share(errors: FloatArray) -> float:

@@ -50,11 +50,13 @@ class Data:
     held: frozenset[str] = frozenset()
 
     def judge(self, theta: FloatArray) -> tuple[Score, ...]:
-        """Scores on held-out windows short enough to be counted: on long ones, and on short ones."""
-        duration = float(self.test.t[-1] - self.test.t[0])
-        length = min(JUDGED_LENGTH * self.window, duration / JUDGED_WINDOWS)
-        shares = JUDGED_SHARES if self.model.state_names else (1.0,)
-        return tuple(score(self.model, theta, self.test, self.test_sigma, share * length) for share in shares)
+        """Scores on held-out windows: as long as can be counted, short ones, and as long as the metric's."""
+        lengths: tuple[float | None, ...] = (None,)
+        if self.model.state_names:
+            duration = float(self.test.t[-1] - self.test.t[0])
+            length = min(JUDGED_LENGTH * self.window, duration / JUDGED_WINDOWS)
+            lengths = (*(share * length for share in JUDGED_SHARES), self.model.horizon)
+        return tuple(score(self.model, theta, self.test, self.test_sigma, length) for length in lengths)
 
 
 def compare(

@@ -10,11 +10,11 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from labhil.diagnose.evidence import Evidence, bic, effective_samples, search_p_value
+from labhil.diagnose.evidence import Evidence, bic, effective_samples, heldout_gain, search_p_value
 from labhil.diagnose.judge import NEEDED_BIC, Data, compare, supported
 from labhil.diagnose.screen import Candidate, Progress, Screen, candidates, rank
 from labhil.identify.fitted import WORST_GROWTH, Fitted, climb, fit_terms
@@ -35,17 +35,15 @@ CONFIRMED_PAIRS = 3
 STILL_NOISY = 1.15
 """Residuals this much above the noise say that something is still missing."""
 
-WEIGHED = 2
-"""How many rivals are tried in the place of each found term."""
+WEIGHED, WEIGHED_WIDELY = (2, 0.5), (5, 0.1)
+"""How many rivals are tried in the place of each found term, and what share of what its absence leaves they
+have to promise: on long windows, where a projection says less, more of them and with less."""
 
 FINALISTS = 3
 """How many of them are refitted to the end where much is still unexplained."""
 
 HOPELESS = 3.0
 """A fit whose squared residuals stay above this many times those of the model to beat is not finished."""
-
-HOPEFUL = 0.5
-"""A rival that promises to explain less than this share of what a term's absence leaves is not tried."""
 
 RIVAL_BIC = 10.0
 """A rival within this stays on the list: it is under five nats behind."""
@@ -83,11 +81,15 @@ class Found:
 
 @dataclass(slots=True)
 class Trail:
-    """Where a search stands: the best model so far, p values of its steps, rivals of its terms."""
+    """Where a search stands: the best model so far, p values of its steps, rivals of its terms.
+
+    ``left`` are sets of terms that gave way to others, and are not gone back to.
+    """
 
     current: Fitted
     p_values: list[float]
     rivals: tuple[Rival, ...] = ()
+    left: set[frozenset[str]] = field(default_factory=set)
 
 
 def search(data: Data, baseline: Fitted, progress: Progress) -> Found:
@@ -132,11 +134,8 @@ class Hunt:
             if only_promising:
                 ranked, pairs = ([c for c in found if c.promising] for found in (ranked, pairs))
             accepted = self._added(trail, ranked, pairs)
-            if accepted is None:
-                swapped, trail.rivals = _swap(self.data, trail, self.base, self.executor, self.progress)
-                if swapped is not trail.current:
-                    trail.current = swapped
-                    continue
+            if accepted is None and self._swapped(trail, widely=only_promising):
+                continue
             if accepted is None and trail.current.noise > STILL_NOISY:
                 rest = [candidate.group for candidate in ranked[CONFIRMED:]]
                 accepted, _ = self._forward(trail.current, rest)
@@ -168,6 +167,14 @@ class Hunt:
 
     def _reach(self, share: float) -> float:
         return min(share * self.data.window, float(self.data.search.t[-1] - self.data.search.t[0]))
+
+    def _swapped(self, trail: Trail, *, widely: bool) -> bool:
+        """Whether a rival took the place of a found term."""
+        before = trail.current
+        trail.current, trail.rivals = _swap(
+            self.data, trail, self.base, self.executor, self.progress, widely=widely
+        )
+        return trail.current is not before
 
     def _added(self, trail: Trail, ranked: Sequence[Candidate], pairs: Sequence[Candidate]) -> Fitted | None:
         """The best supported addition of those that promise most."""
@@ -276,39 +283,63 @@ def _first_accepted(data: Data, current: Fitted, trials: Sequence[Fitted], looks
 
 
 def _swap(
-    data: Data, trail: Trail, base: frozenset[str], executor: Executor, progress: Progress
+    data: Data, trail: Trail, base: frozenset[str], executor: Executor, progress: Progress, *, widely: bool
 ) -> tuple[Fitted, tuple[Rival, ...]]:
-    """Try the best-screened rivals in the place of each found term; keep what is better."""
+    """Try the best-screened rivals in the place of each found term; keep what both kinds of data prefer."""
     current, rivals = trail.current, list[Rival]()
     for term in [t for t in current.terms if t not in base]:
-        reduced = _refit(
-            data,
-            current,
-            without(data.model, current.terms, term),
-            (),
-            hopeless=HOPELESS * current.solution.cost,
-        )
+        if term not in current.terms:
+            continue
+        reduced = _without(data, current, term)
         absent = [group for group in candidates(data.model, reduced.terms) if term not in group]
         groups = [group for group in absent if group[-1] not in current.terms]
-        screen = Screen.of(data, reduced)
-        columns = list(executor.map(screen.columns_of, groups))
-        promises = [screen.promise([own], group) for own, group in zip(columns, groups, strict=True)]
-        wanted = HOPEFUL * (1.0 - current.solution.cost / reduced.solution.cost)
-        hopeful = [i for i in np.argsort(promises)[::-1][:WEIGHED] if promises[i] > wanted]
-        ranked = [groups[i] for i in hopeful]
-        if not ranked:
+        groups = _hopeful(data, current, reduced, groups, executor, *(WEIGHED_WIDELY if widely else WEIGHED))
+        if not groups:
             continue
-        progress(f"weighing {', '.join(group[-1] for group in ranked)} instead of {term}")
+        progress(f"weighing {', '.join(group[-1] for group in groups)} instead of {term}")
         effective = effective_samples(current)
-        for trial in confirm(data, reduced, ranked, executor, HOPELESS * current.solution.cost):
-            rival = trial.terms[-1]
-            delta = bic(trial, effective) - bic(current, effective)
-            if delta < NEEDED_BIC:
+        for trial in confirm(data, reduced, groups, executor, HOPELESS * current.solution.cost)[:FINALISTS]:
+            rival, delta = trial.terms[-1], bic(trial, effective) - bic(current, effective)
+            if frozenset(trial.terms) not in trail.left and _preferred(data, current, trial, delta):
+                trail.left.add(frozenset(current.terms))
                 rivals.append(Rival(term, rival, -delta))
                 current = trial
                 break
             rivals.append(Rival(rival, term, delta))
-    return current, tuple(r for r in rivals if r.delta_bic < RIVAL_BIC)
+    return current, tuple(r for r in rivals if abs(r.delta_bic) < RIVAL_BIC)
+
+
+def _hopeful(
+    data: Data,
+    current: Fitted,
+    reduced: Fitted,
+    groups: Sequence[tuple[str, ...]],
+    executor: Executor,
+    most: int,
+    share: float,
+) -> list[tuple[str, ...]]:
+    """The groups that promise most beside the reduced model.
+
+    At most so many, and at least this share of what the absence of the term in question leaves.
+    """
+    screen = Screen.of(data, reduced)
+    columns = list(executor.map(screen.columns_of, groups))
+    promises = [screen.promise([own], group) for own, group in zip(columns, groups, strict=True)]
+    wanted = share * (1.0 - current.solution.cost / reduced.solution.cost)
+    return [groups[i] for i in np.argsort(promises)[::-1][:most] if promises[i] > wanted]
+
+
+def _preferred(data: Data, before: Fitted, after: Fitted, delta_bic: float) -> bool:
+    """Whether search and held-out data together prefer ``after``: what the one cannot tell the other may."""
+    pairs = zip(data.judge(before.theta), data.judge(after.theta), strict=True)
+    most_telling = max((heldout_gain(b, a)[0] for b, a in pairs), key=abs)
+    return delta_bic - 2.0 * most_telling < 0.0
+
+
+def _without(data: Data, current: Fitted, term: str) -> Fitted:
+    """The model refitted without a term and what builds on it, unless that is hopelessly worse."""
+    terms = without(data.model, current.terms, term)
+    return _refit(data, current, terms, (), hopeless=HOPELESS * current.solution.cost)
 
 
 def _prune(data: Data, current: Fitted, base: frozenset[str], progress: Progress) -> Fitted:
@@ -321,13 +352,7 @@ def _prune(data: Data, current: Fitted, base: frozenset[str], progress: Progress
         progress(f"is {term} still needed")
         if any(term in data.model.terms[t].with_terms for t in current.terms):
             continue
-        reduced = _refit(
-            data,
-            current,
-            without(data.model, current.terms, term),
-            (),
-            hopeless=HOPELESS * current.solution.cost,
-        )
+        reduced = _without(data, current, term)
         effective = effective_samples(current)
         if bic(reduced, effective) - bic(current, effective) < -NEEDED_BIC:
             current = reduced
@@ -357,8 +382,7 @@ def _steps_of(data: Data, baseline: Fitted, final: Fitted, looks: int) -> tuple[
         sizes = [p.key for p in data.model.terms[term].parameters if not p.shape]
         if all(final.theta[places[key]] == 0.0 for key in sizes):
             continue
-        less = without(data.model, final.terms, term)
-        reduced = _refit(data, final, less, (), hopeless=HOPELESS * final.solution.cost)
+        reduced = _without(data, final, term)
         evidence, p_search = compare(data, reduced, final, data.judge(reduced.theta), looks)
         kept.append(Step((term,), evidence, p_search))
     return tuple(sorted(kept, key=lambda step: step.evidence.delta_bic))

@@ -24,7 +24,7 @@ def run_benchmark(
     Trials that stand in ``out`` already are not run again, so that an interrupted benchmark goes on.
     """
     cases = _cases(names, "--recordings", recordings, out)
-    summaries = []
+    summaries: list[Summary] = []
     for case in cases:
         seeds = range(first_seed, first_seed + recordings)
         wanted = [(case.name, seed, coloured) for seed in seeds for coloured in (False, True)]
