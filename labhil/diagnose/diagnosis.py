@@ -15,7 +15,7 @@ from labhil.diagnose.contradiction import structure_p_value
 from labhil.diagnose.evidence import bic, effective_samples
 from labhil.diagnose.intake import Fault, usable
 from labhil.diagnose.intake import faults as faults_of
-from labhil.diagnose.judge import Data
+from labhil.diagnose.judge import NEEDED_BIC, Data
 from labhil.diagnose.search import Found, search
 from labhil.diagnose.unmodelled import Unmodelled, unmodelled
 from labhil.identify.fitted import Fitted, climb, covariances, start_theta
@@ -165,10 +165,10 @@ def _simpler(free: Found, held: Found) -> Found:
     """The better of two searches by BIC on the search data.
 
     Refitted sizes may absorb what is missing: a load at the flange is a change of many inertias. Held ones
-    would have missing physics make up for a size that has changed. The simpler account of the data is right.
+    would have missing physics make up for a size that has changed: that account needs very strong evidence.
     """
     effective = min(effective_samples(free.final), effective_samples(held.final))
-    return min(free, held, key=lambda found: bic(found.final, effective))
+    return held if bic(held.final, effective) - bic(free.final, effective) < NEEDED_BIC else free
 
 
 def _excited(record: Record, sigma: np.ndarray) -> bool:

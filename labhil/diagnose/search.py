@@ -17,7 +17,8 @@ import numpy as np
 from labhil.diagnose.evidence import Evidence, bic, effective_samples, heldout_gain, search_p_value
 from labhil.diagnose.judge import NEEDED_BIC, Data, compare, supported
 from labhil.diagnose.screen import Candidate, Progress, Screen, candidates, rank
-from labhil.identify.fitted import WORST_GROWTH, Fitted, climb, fit_terms
+from labhil.identify.fitted import WORST_GROWTH, Fitted, climb, covariances, fit_terms
+from labhil.identify.intervals import quantile
 from labhil.physics.model import Model, index_of
 
 SETTLED = 1.05
@@ -35,6 +36,12 @@ CONFIRMED_PAIRS = 3
 STILL_NOISY = 1.15
 """Residuals this much above the noise say that something is still missing."""
 
+RELEVANT = 0.02
+"""Share of what noise does not explain of the baseline's squared residuals that a term has to explain.
+
+On precise recordings of real mechanisms there is always a further term that chance does not explain.
+"""
+
 WEIGHED, WEIGHED_WIDELY = (2, 0.5), (5, 0.1)
 """How many rivals are tried in the place of each found term, and what share of what its absence leaves they
 have to promise: on long windows, where a projection says less, more of them and with less."""
@@ -51,11 +58,15 @@ RIVAL_BIC = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One accepted addition with its evidence; ``p_search`` is corrected for all candidates looked at."""
+    """One accepted addition with its evidence; ``p_search`` is corrected for all candidates looked at.
+
+    ``told``: it explains enough to be worth telling, and a size of it is told from zero.
+    """
 
     terms: tuple[str, ...]
     evidence: Evidence
     p_search: float
+    told: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,13 +94,22 @@ class Found:
 class Trail:
     """Where a search stands: the best model so far, p values of its steps, rivals of its terms.
 
-    ``left`` are sets of terms that gave way to others, and are not gone back to.
+    ``been`` are the sets of terms that it stood at, and does not go back to.
     """
 
     current: Fitted
     p_values: list[float]
     rivals: tuple[Rival, ...] = ()
-    left: set[frozenset[str]] = field(default_factory=set)
+    been: set[frozenset[str]] = field(default_factory=set)
+
+    def go(self, fitted: Fitted) -> bool:
+        """Stand there from now on; False, and stay, where it has been before."""
+        terms = frozenset(fitted.terms)
+        if terms in self.been:
+            return False
+        self.been.add(terms)
+        self.current = fitted
+        return True
 
 
 def search(data: Data, baseline: Fitted, progress: Progress) -> Found:
@@ -98,9 +118,9 @@ def search(data: Data, baseline: Fitted, progress: Progress) -> Found:
     Short ones lead to the neighbourhood whatever is missing; what acts slowly shows on longer ones only.
     """
     looks = len(candidates(data.model, baseline.terms))
-    trail = Trail(baseline, [])
+    trail = Trail(baseline, [], been={frozenset(baseline.terms)})
     with ThreadPoolExecutor(os.cpu_count()) as executor:
-        hunt = Hunt(data, frozenset(baseline.terms), looks, executor, progress)
+        hunt = Hunt(data, baseline, looks, executor, progress)
         hunt.follow(trail)
         if data.model.state_names:
             progress("refitting on longer windows")
@@ -116,13 +136,18 @@ def search(data: Data, baseline: Fitted, progress: Progress) -> Found:
 
 @dataclass(frozen=True, slots=True)
 class Hunt:
-    """What all steps of a search share; ``base`` are the baseline's terms, which are never taken out."""
+    """What all steps of a search share; the terms of the ``baseline`` are never taken out."""
 
     data: Data
-    base: frozenset[str]
+    baseline: Fitted
     looks: int
     executor: Executor
     progress: Progress
+
+    @property
+    def base(self) -> frozenset[str]:
+        """The baseline's terms."""
+        return frozenset(self.baseline.terms)
 
     def follow(self, trail: Trail, *, only_promising: bool = False) -> None:
         """Add, swap and remove terms until nothing is left to do.
@@ -139,10 +164,11 @@ class Hunt:
             if accepted is None and trail.current.noise > STILL_NOISY:
                 rest = [candidate.group for candidate in ranked[CONFIRMED:]]
                 accepted, _ = self._forward(trail.current, rest)
-            if accepted is None:
+            if accepted is None or not _relevant(self.baseline, trail.current, accepted):
                 return
             accepted = _refit(self.data, accepted, accepted.terms, (), thorough=True)
-            trail.current = self.pruned(self.data, accepted)
+            if not trail.go(self.pruned(self.data, accepted)):
+                return
             self.progress(f"found {', '.join(t for t in trail.current.terms if t not in self.base)}")
 
     def follow_on_longer_windows(self, trail: Trail) -> Data:
@@ -150,10 +176,11 @@ class Hunt:
         short = trail.current
         longest = replace(self.data, window=self._reach(LONGER[-1]))
         trail.current = _onward(longest, short)
-        replace(self, data=longest).follow(trail, only_promising=True)
-        if trail.current.terms != short.terms or trail.current.noise <= WORST_GROWTH * short.noise:
+        onward = replace(self, data=longest, baseline=_onward(longest, self.baseline))
+        onward.follow(trail, only_promising=True)
+        # noise that drives the plant itself, or a force without a name, biases what long windows say
+        if trail.current.noise <= WORST_GROWTH * short.noise:
             return longest
-        # noise that drives the plant itself biases what long windows say
         middle = replace(self.data, window=self._reach(LONGER[0]))
         trail.current = _onward(middle, short)
         if trail.current.noise <= WORST_GROWTH * short.noise:
@@ -170,11 +197,10 @@ class Hunt:
 
     def _swapped(self, trail: Trail, *, widely: bool) -> bool:
         """Whether a rival took the place of a found term."""
-        before = trail.current
-        trail.current, trail.rivals = _swap(
+        swapped, trail.rivals = _swap(
             self.data, trail, self.base, self.executor, self.progress, widely=widely
         )
-        return trail.current is not before
+        return swapped is not trail.current and trail.go(swapped)
 
     def _added(self, trail: Trail, ranked: Sequence[Candidate], pairs: Sequence[Candidate]) -> Fitted | None:
         """The best supported addition of those that promise most."""
@@ -300,8 +326,7 @@ def _swap(
         effective = effective_samples(current)
         for trial in confirm(data, reduced, groups, executor, HOPELESS * current.solution.cost)[:FINALISTS]:
             rival, delta = trial.terms[-1], bic(trial, effective) - bic(current, effective)
-            if frozenset(trial.terms) not in trail.left and _preferred(data, current, trial, delta):
-                trail.left.add(frozenset(current.terms))
+            if frozenset(trial.terms) not in trail.been and _preferred(data, current, trial, delta):
                 rivals.append(Rival(term, rival, -delta))
                 current = trial
                 break
@@ -336,6 +361,25 @@ def _preferred(data: Data, before: Fitted, after: Fitted, delta_bic: float) -> b
     return delta_bic - 2.0 * most_telling < 0.0
 
 
+def _relevant(baseline: Fitted, before: Fitted, after: Fitted) -> bool:
+    """Whether a step explains enough of what the baseline leaves unexplained."""
+    unexplained = baseline.solution.cost - baseline.dof
+    return before.solution.cost - after.solution.cost > RELEVANT * unexplained
+
+
+def _significant(fitted: Fitted, term: str) -> bool:
+    """Whether a size of this term is told from zero; one with a shape is judged by its evidence alone."""
+    parameters = fitted.problem.model.terms[term].parameters
+    if any(p.shape for p in parameters):
+        return True
+    robust, _, _ = covariances(fitted)
+    places = index_of(fitted.problem.model.parameters)
+    free = fitted.problem.free.tolist()
+    own = [free.index(places[p.key]) for p in parameters if places[p.key] in free]
+    values, errors = fitted.theta[fitted.problem.free[own]], np.sqrt(np.diag(robust)[own])
+    return bool(np.any(np.abs(values) > quantile() * errors))
+
+
 def _without(data: Data, current: Fitted, term: str) -> Fitted:
     """The model refitted without a term and what builds on it, unless that is hopelessly worse."""
     terms = without(data.model, current.terms, term)
@@ -344,7 +388,9 @@ def _without(data: Data, current: Fitted, term: str) -> Fitted:
 
 def _prune(data: Data, current: Fitted, base: frozenset[str], progress: Progress) -> Fitted:
     """Remove found terms that the search data no longer need."""
-    # what builds on others goes first, so that these can go after it
+    # what builds on others goes first, so that these can go after it; two weak ones must not both go
+    effective = effective_samples(current)
+    allowed = bic(current, effective) - NEEDED_BIC
     found = [t for t in current.terms if t not in base]
     if len(found) < 2:
         return current
@@ -353,8 +399,7 @@ def _prune(data: Data, current: Fitted, base: frozenset[str], progress: Progress
         if any(term in data.model.terms[t].with_terms for t in current.terms):
             continue
         reduced = _without(data, current, term)
-        effective = effective_samples(current)
-        if bic(reduced, effective) - bic(current, effective) < -NEEDED_BIC:
+        if bic(reduced, effective) < allowed:
             current = reduced
     return current
 
@@ -365,7 +410,7 @@ def _supported_only(
     """Take out, weakest first, whatever search and held-out data do not both support in the last fit."""
     while True:
         steps = _steps_of(data, baseline, final, looks)
-        weak = [step for step in steps if not supported(step.evidence, step.p_search)]
+        weak = [step for step in steps if not (step.told and supported(step.evidence, step.p_search))]
         if not weak:
             return final, steps
         final = _refit(data, final, without(data.model, final.terms, weak[-1].terms[0]), (), thorough=True)
@@ -384,5 +429,6 @@ def _steps_of(data: Data, baseline: Fitted, final: Fitted, looks: int) -> tuple[
             continue
         reduced = _without(data, final, term)
         evidence, p_search = compare(data, reduced, final, data.judge(reduced.theta), looks)
-        kept.append(Step((term,), evidence, p_search))
+        told = _relevant(baseline, reduced, final) and _significant(final, term)
+        kept.append(Step((term,), evidence, p_search, told))
     return tuple(sorted(kept, key=lambda step: step.evidence.delta_bic))
