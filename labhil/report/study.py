@@ -27,7 +27,10 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class Material:
-    """What a result is made from: the rig's model, the data to learn from and the data to be judged on."""
+    """What a result is made from: the rig's model, the data to learn from and the data to be judged on.
+
+    Where nothing is ``held_out`` these are the same.
+    """
 
     rig: RigFile
     model: Model
@@ -35,6 +38,7 @@ class Material:
     judge: Record
     judge_is_test: bool
     recordings: tuple[tuple[Recording, Record, str], ...]
+    held_out: bool = True
 
     def sources(self, learning: str) -> list[Source]:
         """The recordings as results name them; ``learning`` is the role of the first."""
@@ -56,20 +60,30 @@ class Material:
 
 
 def load_material(
-    path: Path, rig_path: Path | None = None, test_path: Path | None = None, holdout: float = HOLDOUT
+    path: Path,
+    rig_path: Path | None = None,
+    test_path: Path | None = None,
+    holdout: float = HOLDOUT,
+    *,
+    all_of_it: bool = False,
 ) -> Material:
     """Read a recording and what it is to be judged on.
 
     Without ``test_path`` the last ``holdout`` of the recording is held out, after a gap of one scored
-    horizon. The rig file is the given one, or the one that the recording carries. Raises UsageError
-    (RecordingError, RigFileError) with what is missing.
+    horizon; nothing is where ``holdout`` is 0 and ``all_of_it`` allows that. The rig file is the given one,
+    or the one that the recording carries. Raises UsageError (RecordingError, RigFileError) with what is
+    missing.
     """
-    if not 0.05 <= holdout <= 0.9:
-        raise UsageError(f"--holdout: expected a share from 0.05 to 0.9, found {holdout:g}")
+    if not (0.05 <= holdout <= 0.9 or (all_of_it and holdout == 0.0)):
+        nothing = ", or 0 to hold nothing out" if all_of_it else ""
+        raise UsageError(f"--holdout: expected a share from 0.05 to 0.9{nothing}, found {holdout:g}")
     recording = read_recording(path)
     rig = rig_of(recording, rig_path)
     record = record_of(recording, rig.kind)
     model = model_for(rig, record)
+    if test_path is None and holdout == 0.0:
+        learn = model.prepare(record)
+        return Material(rig, model, learn, learn, False, ((recording, record, ""),), held_out=False)
     if test_path is None:
         learn, judge = (model.prepare(part) for part in split(record, holdout, model.horizon))
         _long_enough(learn, recording)
@@ -143,12 +157,13 @@ def fit_study(
         model,
         material.learn,
         chosen,
-        test=material.judge,
+        test=material.judge if material.held_out else None,
         start=values_of(start) if start is not None else None,
         options=how,
     )
-    judged = with_help(result.identifiability, material.rig, result.fitted)
-    result = replace(result, identifiability=judged)
+    if result.criterion is model.metric:
+        judged = with_help(result.identifiability, material.rig, result.fitted)
+        result = replace(result, identifiability=judged)
     seconds = time.perf_counter() - began
     data = fit_json(result, material.sources("train"), model.kind, how.estimator, how.seed, seconds)
     return FitResult(result, material, data)

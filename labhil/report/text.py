@@ -10,8 +10,9 @@ from rich.text import Text
 
 from labhil.diagnose.answer import Diagnosis
 from labhil.identify.fit import Fit
-from labhil.identify.score import Score
+from labhil.identify.score import ChannelScore, Score
 from labhil.identify.statistics import Estimate
+from labhil.physics.model import Metric
 from labhil.physics.terms import keyed
 from labhil.report.html.quantity import squared
 from labhil.report.verdicts import VERDICTS
@@ -28,9 +29,19 @@ def show_fit(fit: Fit, console: Console) -> None:
     console.print(
         f"Residuals: white with p = {fit.ljung_box_p:.2g} (Ljung-Box); uncorrelated with the input with "
         f"p = {fit.input_crosscorrelation_p:.2g}.\n"
-        f"Fitted on windows of {fit.window:.3g} s, {fit.evaluations} simulations"
+        f"{_fitted_on(fit)}, {fit.evaluations} simulations; RMSE there {_left(fit)}"
         + ("." if fit.converged else "; stopped before it had settled.")
     )
+
+
+def _fitted_on(fit: Fit) -> str:
+    if fit.criterion is Metric.INVERSE_DYNAMICS:
+        return "Fitted by inverse dynamics"
+    return f"Fitted on windows of {fit.window:.3g} s"
+
+
+def _left(fit: Fit) -> str:
+    return ", ".join(f"{channel.rmse:.4g} {channel.unit}" for channel in fit.left)
 
 
 def _kind(fit: Fit) -> str:
@@ -86,10 +97,10 @@ def score_table(scores: Sequence[tuple[str, Score]]) -> Table:
     for name in ("data", "channel", "RMSE", "noise floor", "max. error", "MSE", "R²"):
         table.add_column(name, justify="left" if name in ("data", "channel") else "right")
     for label, score in scores:
-        for channel in score.channels:
+        for channel in score.rows_told:
             table.add_row(
                 label,
-                keyed(channel.channel, channel.joint),
+                _told(channel, score),
                 f"{channel.rmse:.4g} {channel.unit}",
                 f"{channel.noise_floor:.4g} {channel.unit}",
                 f"{channel.max_abs_error:.4g} {channel.unit}",
@@ -97,6 +108,15 @@ def score_table(scores: Sequence[tuple[str, Score]]) -> Table:
                 f"{100 * channel.r2:.2f} %",
             )
     return table
+
+
+def _told(channel: ChannelScore, score: Score) -> str:
+    """A channel's name, with the metric where it is not the headline's."""
+    name = keyed(channel.channel, channel.joint)
+    if channel.metric is score.metric:
+        return name
+    share = "" if channel.relative_error is None else f", {100 * channel.relative_error:.2f} % of the RMS"
+    return f"{name} ({channel.metric.value.replace('_', ' ')}{share})"
 
 
 def window_table(fit: Fit) -> Table:

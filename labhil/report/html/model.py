@@ -13,7 +13,7 @@ from labhil.report.figure import AFTER, figure_of, finish
 from labhil.report.html.element import Content, Markup, joined, tag
 from labhil.report.html.picture import Album, label
 from labhil.report.html.quantity import NOTHING, count, interval, p_value, quantity
-from labhil.report.html.schema import ParameterRow, Source
+from labhil.report.html.schema import ChannelErrors, ChannelImprovement, ParameterRow, Source
 from labhil.report.html.table import numbers, table, text
 
 WIDEST = 120.0
@@ -130,6 +130,14 @@ def named(name: str, joint: int | None = None) -> Markup:
     """A name as code, which a narrow column may break behind its dots."""
     first, *others = keyed(name, joint).split(".")
     return tag("code", first, *(joined((".", tag("wbr"), other)) for other in others))
+
+
+def channel_named(row: ChannelErrors | ChannelImprovement, metric: str) -> Content:
+    """A channel's name, with its metric where that is not the headline's ``metric``."""
+    name = named(row.channel, row.joint)
+    if row.metric in (None, metric):
+        return name
+    return joined((name, f" ({str(row.metric).replace('_', ' ')})"))
 
 
 def bars(before: float | None, after: float | None, floor: float | None) -> Markup | None:
