@@ -235,6 +235,10 @@ def fit(
     holdout: Annotated[
         float, typer.Option(help="Share held out at the end, 0 for nothing; not used with --test.")
     ] = 0.3,
+    span: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="FROM TO", help="Use only this stretch of the recording, s."),
+    ] = None,
     window: Annotated[
         float | None, typer.Option(help="Length of the fitted windows, s (default: several, compared).")
     ] = None,
@@ -262,7 +266,7 @@ def fit(
 
     refuse_unwritable(json_path, plot, html)
     method, small = interval_method(intervals), criterion_named(criterion)
-    material = load_material(recording, rig, test, holdout, all_of_it=True)
+    material = load_material(recording, rig, test, holdout, span=span, all_of_it=True)
     tell(material.losses())
     with status() as say:
         options = Options(window, method, simultaneous, estimator_named(estimator), seed, say, small)

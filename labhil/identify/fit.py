@@ -75,7 +75,7 @@ class Options:
 def criterion_named(name: str | None) -> Metric | None:
     """The metric of that name, None for none; UnknownNameError lists those that exist."""
     if name is not None and name not in set(Metric):
-        raise UnknownNameError("criterion", name, list(Metric))
+        raise UnknownNameError("criterion", name, [metric.value for metric in Metric])
     return None if name is None else Metric(name)
 
 

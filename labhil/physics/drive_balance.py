@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from labhil.errors import RecordingError
@@ -31,6 +32,10 @@ HIGHEST_SHARE = 0.1
 
 REST = 0.01
 """Share of the RMS speed below which the axis rests, where that lasts for longer than the filter's reach."""
+
+
+ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
+"""Share of a position within which readings of an axis at rest may stray."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +63,8 @@ class DriveMotion:
             raise RecordingError(f"too short for inverse dynamics: {len(t)} samples")
         x = _smoother(low_pass)(np.interp(t, record.t, record.outputs[:, 0]))
         v = np.gradient(x, period)
-        rows = _judged(record.t, t, v, low_pass)
+        rounding = ROUNDING * float(np.abs(x).max()) / period
+        rows = _judged(record.t, t, np.abs(v) > max(REST * float(np.sqrt(np.mean(v**2))), rounding), low_pass)
         if len(rows) < FEWEST:
             raise RecordingError(
                 f"too little motion for inverse dynamics: {len(rows)} places are left below "
@@ -115,13 +121,12 @@ def _smoother(low_pass: LowPass) -> LowPass:
     return LowPass(WIDER * low_pass.cut_off, low_pass.period)
 
 
-def _judged(measured: FloatArray, t: FloatArray, v: FloatArray, low_pass: LowPass) -> IntArray:
-    """Places of the even raster ``t`` (n,) that are judged, thinned out."""
+def _judged(measured: FloatArray, t: FloatArray, moves: NDArray[np.bool_], low_pass: LowPass) -> IntArray:
+    """Places of the even raster ``t`` (n,) that are judged, thinned out; ``moves`` (n,) where it does."""
     span = np.ones(2 * low_pass.reach + 1, dtype=bool)
-    slow = np.abs(v) < REST * np.sqrt(np.mean(v**2))
     after = np.clip(np.searchsorted(measured, t), 1, len(measured) - 1)
     missing = measured[after] - measured[after - 1] > GAP * low_pass.period
-    left_out = ndimage.binary_dilation(ndimage.binary_opening(slow, span) | missing, span)
+    left_out = ndimage.binary_dilation(ndimage.binary_opening(~moves, span) | missing, span)
     left_out[: 3 * low_pass.reach] = left_out[-3 * low_pass.reach :] = True
     every = max(1, round(1.0 / (KEPT_PER_CUT_OFF * low_pass.cut_off * low_pass.period)))
     rows = np.arange(0, len(t), every)

@@ -23,7 +23,10 @@ from labhil.signals import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A recording that a result comes from; ``role`` is "search", "train" or "test"."""
+    """A recording that a result comes from; ``role`` is "search", "train" or "test".
+
+    ``start`` and ``duration`` (s) say which stretch of it was used.
+    """
 
     path: str
     sha256: str
@@ -31,6 +34,7 @@ class Source:
     samples: int
     duration: float
     role: str
+    start: float = 0.0
 
 
 def fit_json(fit: Fit, sources: Sequence[Source], rig: str, estimator: str, seed: int, seconds: float) -> Any:

@@ -8,12 +8,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from labhil.diagnose.answer import Diagnosis
 from labhil.diagnose.diagnosis import diagnose
 from labhil.errors import RecordingError, UnknownNameError, UsageError
 from labhil.identify.fit import Fit, Options, fit
 from labhil.identify.further_channels import with_help
-from labhil.identify.windows import FEWEST_IN_WINDOW, split
+from labhil.identify.windows import FEWEST_IN_WINDOW, FEWEST_SAMPLES, split
 from labhil.physics.model import Model, Record, index_of, terms_named
 from labhil.physics.rigs import model_for, record_of, rig_model
 from labhil.recording.reader import Recording, read_recording
@@ -50,6 +52,7 @@ class Material:
                 samples=len(record),
                 duration=float(record.t[-1] - record.t[0]),
                 role=role or learning,
+                start=float(record.t[0]),
             )
             for recording, record, role in self.recordings
         ]
@@ -65,9 +68,10 @@ def load_material(
     test_path: Path | None = None,
     holdout: float = HOLDOUT,
     *,
+    span: tuple[float, float] | None = None,
     all_of_it: bool = False,
 ) -> Material:
-    """Read a recording and what it is to be judged on.
+    """Read a recording, or of it the ``span`` from … to (s), and what it is to be judged on.
 
     Without ``test_path`` the last ``holdout`` of the recording is held out, after a gap of one scored
     horizon; nothing is where ``holdout`` is 0 and ``all_of_it`` allows that. The rig file is the given one,
@@ -79,7 +83,7 @@ def load_material(
         raise UsageError(f"--holdout: expected a share from 0.05 to 0.9{nothing}, found {holdout:g}")
     recording = read_recording(path)
     rig = rig_of(recording, rig_path)
-    record = record_of(recording, rig.kind)
+    record = _within(record_of(recording, rig.kind), span, recording)
     model = model_for(rig, record)
     if test_path is None and holdout == 0.0:
         learn = model.prepare(record)
@@ -107,6 +111,20 @@ def rig_of(recording: Recording, rig_path: Path | None) -> RigFile:
         damage = f" ({recording.damage})" if recording.damage else ""
         raise RecordingError(f"{recording.path}: carries no rig file{damage}; give one with --rig RIG.toml")
     return recording.rig
+
+
+def _within(record: Record, span: tuple[float, float] | None, recording: Recording) -> Record:
+    """The samples of a record within ``span`` (s, both ends counted); UsageError where hardly any are."""
+    if span is None:
+        return record
+    first, last = np.searchsorted(record.t, span[0]), np.searchsorted(record.t, span[1], side="right")
+    if last - first < FEWEST_SAMPLES:
+        raise UsageError(
+            f"--span {span[0]:g} {span[1]:g}: expected at least {FEWEST_SAMPLES} samples of "
+            f"{recording.path}, which reaches from {record.t[0]:g} to {record.t[-1]:g} s, "
+            f"found {max(last - first, 0)}"
+        )
+    return record.part(int(first), int(last))
 
 
 def _long_enough(learn: Record, recording: Recording) -> None:

@@ -145,7 +145,7 @@ def _fit_notes(fit: Fit) -> list[str]:
         if row.at_bound and row.identifiable
     ]
     if fit.identifiability.rank < fit.identifiability.of:
-        known = ", ".join(fit.identifiability.combinations)
+        known = ", ".join(fit.identifiability.combinations) or "nothing"
         notes.append(
             f"The data know {fit.identifiability.rank} of {fit.identifiability.of} parameters; "
             f"what they know of the rest: {known}."
