@@ -14,6 +14,10 @@ from labhil.identify.fit import Options, fit
 from labhil.identify.score import score, with_forces
 from labhil.physics.model import Metric, Record, index_of
 from labhil.physics.rigs import by_inverse_dynamics, model_for
+from labhil.report.html.fit import fit_page
+from labhil.report.html.picture import Album
+from labhil.report.html.schema import FitPart, checked
+from labhil.report.results import fit_json
 from labhil.rig import default_rig
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -70,6 +74,15 @@ def test_a_fit_by_inverse_dynamics_finds_the_numbers_and_is_scored_by_simulation
     for row in result.estimates:
         truth = found.theta[places[row.name]]
         assert row.value == pytest.approx(truth, rel=0.03, abs=4.0 * row.std_error), row.name
+
+
+def test_a_page_names_the_metric_of_the_forces_and_keeps_the_headline_in_metres(found):
+    result = fit(found.model, found.record, ("viscous_friction", "coulomb_friction"), options=INVERSE)
+    told = checked(FitPart, fit_json(result, [], "axis", "hybrid", 0, 0.0), "the fit")
+    assert told.train.unit == "m"
+    page = str(fit_page(told, "", Album()))
+    assert "inverse dynamics" in page
+    assert "of the RMS" in page
 
 
 def test_a_voltage_is_fitted_in_volts_by_its_known_gain(found):

@@ -115,7 +115,7 @@ def test_friction_of_the_one_joint_that_moves(fitted):
 
 
 def test_the_acceleration_of_the_ball_on_the_half_that_was_not_fitted(fitted):
-    """Known: R² 0.83 to 0.87 of the acceleration, here the curvature of a parabola through 1 s of positions."""
+    """Known: R² 0.83 to 0.87. Acceleration is the curvature of a parabola through 1 s of positions."""
     table = "ball_beam_daisy/ballbeam.dat"
     found = values(fitted(table, "daisy.toml", "--terms", "time_delay", "--holdout", "0.5"))
     angle, position = np.loadtxt(DATA / table).T

@@ -12,7 +12,7 @@ from labhil.physics.terms import keyed
 from labhil.report.figure import AFTER, figure_of, finish
 from labhil.report.html.element import Content, Markup, joined, tag
 from labhil.report.html.picture import Album, label
-from labhil.report.html.quantity import NOTHING, count, interval, p_value, quantity
+from labhil.report.html.quantity import NOTHING, count, interval, p_value, percent, quantity
 from labhil.report.html.schema import ChannelErrors, ChannelImprovement, ParameterRow, Source
 from labhil.report.html.table import numbers, table, text
 
@@ -137,7 +137,9 @@ def channel_named(row: ChannelErrors | ChannelImprovement, metric: str) -> Conte
     name = named(row.channel, row.joint)
     if row.metric in (None, metric):
         return name
-    return joined((name, f" ({str(row.metric).replace('_', ' ')})"))
+    share = row.relative_error if isinstance(row, ChannelErrors) else None
+    error = "" if share is None else f", {percent(share)} of the RMS"
+    return joined((name, f" ({str(row.metric).replace('_', ' ')}{error})"))
 
 
 def bars(before: float | None, after: float | None, floor: float | None) -> Markup | None:
