@@ -19,7 +19,7 @@ from labhil.signals import FloatArray, IntArray
 class ChannelScore:
     """How well one output is simulated: MSE in unit²; RMSE, largest error, floor in unit; R² a fraction.
 
-    ``relative_error`` is RMSE over the RMS of what was measured, where its zero means something: of forces.
+    ``relative_error`` is RMSE over the RMS of what was measured, by inverse dynamics, where zero is no force.
     """
 
     channel: str
@@ -125,12 +125,8 @@ def with_forces(found: Score, model: Model, theta: FloatArray, record: Record, s
         return found
     errors = forces.needed - forces.exerted
     floor = float(sigma[0]) * forces.noise
-    beside = _row(
-        ("drive_force", None, "N"), errors, forces.exerted, floor, Metric.INVERSE_DYNAMICS,
-    )  # fmt: skip
-    size = float(np.sqrt(np.mean(forces.exerted**2)))
-    share = beside.rmse / size if size > 0 else None
-    return replace(found, beside=(replace(beside, relative_error=share),))
+    row = _row(("drive_force", None, "N"), errors, forces.exerted, floor, Metric.INVERSE_DYNAMICS)
+    return replace(found, beside=(row,))
 
 
 def _channel(
@@ -145,17 +141,19 @@ def _row(
     """The figures of errors (N,) beside what was measured (N,); ``name`` is channel, joint and unit."""
     sse = float(errors @ errors)
     sst = float(np.sum((measured - measured.mean()) ** 2))
+    rmse, size = float(np.sqrt(sse / len(errors))), float(np.sqrt(np.mean(measured**2)))
     channel, joint, unit = name
     return ChannelScore(
         channel=channel,
         joint=joint,
         unit=unit,
         mse=sse / len(errors),
-        rmse=float(np.sqrt(sse / len(errors))),
+        rmse=rmse,
         max_abs_error=float(np.abs(errors).max()),
         r2=1.0 - sse / sst if sst > 0 else float("nan"),
         noise_floor=float(floor),
         metric=metric,
+        relative_error=rmse / size if metric is Metric.INVERSE_DYNAMICS and size > 0 else None,
     )
 
 

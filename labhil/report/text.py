@@ -96,6 +96,9 @@ def score_table(scores: Sequence[tuple[str, Score]]) -> Table:
     )
     for name in ("data", "channel", "RMSE", "noise floor", "max. error", "MSE", "R²"):
         table.add_column(name, justify="left" if name in ("data", "channel") else "right")
+    forces = any(row.relative_error is not None for _, score in scores for row in score.rows_told)
+    if forces:
+        table.add_column("RMSE/RMS", justify="right")
     for label, score in scores:
         for channel in score.rows_told:
             table.add_row(
@@ -106,6 +109,7 @@ def score_table(scores: Sequence[tuple[str, Score]]) -> Table:
                 f"{channel.max_abs_error:.4g} {channel.unit}",
                 f"{channel.mse:.4g} {squared(channel.unit)}",
                 f"{100 * channel.r2:.2f} %",
+                *((_share(channel),) if forces else ()),
             )
     return table
 
@@ -113,10 +117,12 @@ def score_table(scores: Sequence[tuple[str, Score]]) -> Table:
 def _told(channel: ChannelScore, score: Score) -> str:
     """A channel's name, with the metric where it is not the headline's."""
     name = keyed(channel.channel, channel.joint)
-    if channel.metric is score.metric:
-        return name
-    share = "" if channel.relative_error is None else f", {100 * channel.relative_error:.2f} % of the RMS"
-    return f"{name} ({channel.metric.value.replace('_', ' ')}{share})"
+    return name if channel.metric is score.metric else f"{name} ({channel.metric.value.replace('_', ' ')})"
+
+
+def _share(channel: ChannelScore) -> str:
+    """The error over what was measured, where zero means something."""
+    return "" if channel.relative_error is None else f"{100 * channel.relative_error:.2f} %"
 
 
 def window_table(fit: Fit) -> Table:
