@@ -232,11 +232,24 @@ def fit(
         str | None, typer.Option("--terms", help="Terms of the model: a,b,… (default: the general model).")
     ] = None,
     test: Annotated[Path | None, typer.Option(help="A separate recording to judge on.")] = None,
-    holdout: Annotated[float, typer.Option(help="Share held out at the end; not used with --test.")] = 0.3,
+    holdout: Annotated[
+        float, typer.Option(help="Share held out at the end, 0 for nothing; not used with --test.")
+    ] = 0.3,
+    span: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="FROM TO", help="Use only this stretch of the recording, s."),
+    ] = None,
     window: Annotated[
         float | None, typer.Option(help="Length of the fitted windows, s (default: several, compared).")
     ] = None,
     intervals: Annotated[str, typer.Option(help="auto, wald, profile (slower) or bootstrap.")] = "auto",
+    criterion: Annotated[
+        str | None,
+        typer.Option(
+            help="What the fit makes small: windowed_simulation or, of an axis too, inverse_dynamics "
+            "(default: the rig's own metric, which scores either)."
+        ),
+    ] = None,
     simultaneous: Annotated[
         bool, typer.Option("--simultaneous", help="Intervals that hold for all parameters together.")
     ] = False,
@@ -246,17 +259,17 @@ def fit(
 ) -> None:
     """Fit a white-box model to a recording, with honest errors, and test it on data it has not seen."""
     from labhil.identify.estimators import estimator_named
-    from labhil.identify.fit import Options
+    from labhil.identify.fit import Options, criterion_named
     from labhil.identify.intervals import interval_method
     from labhil.report.study import fit_study, load_material
     from labhil.report.text import show_fit
 
     refuse_unwritable(json_path, plot, html)
-    method = interval_method(intervals)
-    material = load_material(recording, rig, test, holdout)
+    method, small = interval_method(intervals), criterion_named(criterion)
+    material = load_material(recording, rig, test, holdout, span=span, all_of_it=True)
     tell(material.losses())
     with status() as say:
-        options = Options(window, method, simultaneous, estimator_named(estimator), seed, say)
+        options = Options(window, method, simultaneous, estimator_named(estimator), seed, say, small)
         result = fit_study(material, terms=split_names(names), start=model, options=options)
     show_fit(result.fit, results_console())
     if plot is not None:

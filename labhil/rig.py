@@ -47,9 +47,10 @@ class Limit(_Section):
 
 
 class Metric(_Section):
-    """``[metric]``: horizon of the windowed simulation, s."""
+    """``[metric]``: horizon of the windowed simulation, s; cut-off of inverse dynamics, Hz."""
 
     horizon: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    cut_off: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
 
 
 class Table(_Section):

@@ -20,12 +20,13 @@ from labhil.diagnose.search import Found, search
 from labhil.diagnose.unmodelled import Unmodelled, unmodelled
 from labhil.identify.fitted import Fitted, climb, covariances, start_theta
 from labhil.identify.noise import lasting_noise
-from labhil.identify.score import Score, score
+from labhil.identify.score import Score, score, with_forces
 from labhil.identify.statistics import Estimate
 from labhil.identify.table import table_of
 from labhil.identify.windows import noise_of
 from labhil.physics.model import Model, Record, terms_named
 from labhil.physics.terms import keyed, unkeyed
+from labhil.signals import FloatArray
 
 SEARCH_WINDOW_IN_HORIZONS = 0.375
 FIRST_WINDOW_IN_HORIZONS = 0.1875
@@ -85,7 +86,7 @@ def diagnose(
     after = score(model, found.final.theta, held_out, noise, horizon) if found.missing else before
     unexplained = _unexplained(found, after)
     found, beyond = _beyond(data, found) if unexplained else (found, None)
-    after = after if beyond is None else score(beyond.model, beyond.fit.theta, held_out, noise, horizon)
+    after = after if beyond is None else score(*_accepted(model, found, beyond), held_out, noise, horizon)
     final = table_of(found.final).rows
     changed = _changes(final, reference)
     return Diagnosis(
@@ -106,8 +107,8 @@ def diagnose(
         undecided=telling.undecided(model),
         excluded=telling.excluded(data, found),
         data="test" if heldout_is_test else "heldout",
-        before=before,
-        after=after,
+        before=with_forces(before, model, base.theta, held_out, noise),
+        after=with_forces(after, *_accepted(model, found, beyond), held_out, noise),
         final_terms=found.final.terms,
         final=final,
         baseline_fit=base,
@@ -137,6 +138,11 @@ def _curve(data: Data, final: Fitted) -> Unmodelled | None:
     rows = final.problem.windows
     length = float(data.search.t[rows.last[0] - 1] - data.search.t[rows.first[0]])
     return unmodelled(replace(data, window=length), final)
+
+
+def _accepted(model: Model, found: Found, beyond: Unmodelled | None) -> tuple[Model, FloatArray]:
+    """The model that is left, with its vector."""
+    return (model, found.final.theta) if beyond is None else (beyond.model, beyond.fit.theta)
 
 
 def _fit_baseline(data: Data, terms: Sequence[str]) -> Fitted:
@@ -224,6 +230,7 @@ def _unsearched(
 ) -> Diagnosis:
     """An answer without a search, and why there was none."""
     marks = score(data.model, base.theta, data.test, data.test_sigma)
+    marks = with_forces(marks, data.model, base.theta, data.test, data.test_sigma)
     rows = table_of(base).rows
     return Diagnosis(
         verdict=verdict,

@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 
+from labhil.errors import UnknownNameError, UsageError
 from labhil.identify import statistics
 from labhil.identify.estimators import DEFAULT, search
 from labhil.identify.fitted import (
@@ -23,11 +24,12 @@ from labhil.identify.fitted import (
 from labhil.identify.identifiability import Identifiability, identifiability
 from labhil.identify.intervals import Intervals
 from labhil.identify.problem import Problem
-from labhil.identify.score import Score, score
+from labhil.identify.score import Score, score, with_forces
 from labhil.identify.shapes import beside_rivals, over_shapes
 from labhil.identify.table import ParameterTable, table_of
 from labhil.identify.windows import fit_windows, noise_of
 from labhil.physics.model import Metric, Model, Record, terms_named
+from labhil.physics.rigs import by_inverse_dynamics
 from labhil.signals import FloatArray
 
 Progress = Callable[[str], None]
@@ -57,7 +59,8 @@ class Options:
     ``window`` (s) is the length of the fitted windows; by default the longest of a ladder whose residuals
     have not grown: where noise drives the plant itself, long windows bias the estimates. ``intervals``
     says how they are made; ``simultaneous`` ones hold for all parameters together. ``estimator`` is one
-    of ``estimators.ESTIMATORS``, ``seed`` that of its draws.
+    of ``estimators.ESTIMATORS``, ``seed`` that of its draws. ``criterion`` is what is made small; scores
+    are by the model's own metric whatever it is.
     """
 
     window: float | None = None
@@ -66,13 +69,32 @@ class Options:
     estimator: str = DEFAULT
     seed: int = 0
     progress: Progress = lambda text: None
+    criterion: Metric | None = None
+
+
+def criterion_named(name: str | None) -> Metric | None:
+    """The metric of that name, None for none; UnknownNameError lists those that exist."""
+    if name is not None and name not in set(Metric):
+        raise UnknownNameError("criterion", name, [metric.value for metric in Metric])
+    return None if name is None else Metric(name)
+
+
+@dataclass(frozen=True, slots=True)
+class FittedChannel:
+    """What the fitted windows leave of one channel: RMSE in its unit, open loop from each one's own state."""
+
+    channel: str
+    joint: int | None
+    unit: str
+    rmse: float
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
     """A fitted model with its statistics; ``covariance`` (P, P) is the robust one, in SI units.
 
-    ``residuals`` (N, channels) are those of the fitted windows, in units of noise.
+    ``residuals`` (N, channels) are those of the fitted windows, in units of noise; ``left`` is their size.
+    ``criterion`` is what was made small.
     """
 
     terms: tuple[str, ...]
@@ -84,6 +106,8 @@ class Fit:
     by_window: list[WindowEstimate]
     sigma: FloatArray
     residuals: FloatArray
+    left: tuple[FittedChannel, ...]
+    criterion: Metric
     fitted: Fitted
     intervals: Intervals
     simultaneous: bool
@@ -106,22 +130,33 @@ def fit(
 ) -> Fit:
     """Fit a model with these terms to a record, test it, and say how much to believe.
 
-    ``start`` are values by parameter key to begin at; records are ``model.prepare``d ones.
+    ``start`` are values by parameter key to begin at; records are ``model.prepare``d ones. UsageError where
+    the rig has no such criterion.
     """
     how = options or Options()
-    keys = tuple(term.key for term in terms_named(model, terms))
-    sigma = noise_of(record)
     begin = start_theta(model, start)
-    if model.metric is Metric.INVERSE_DYNAMICS:
-        rungs, lengths, sigma = _regressed(model, record, keys, begin, sigma)
+    if how.criterion is Metric.WINDOWED_SIMULATION and not model.state_names:
+        raise UsageError(f"{model.kind} has no states to simulate; its criterion is {model.metric}")
+    if Metric.INVERSE_DYNAMICS in (model.metric, how.criterion):
+        inverse = by_inverse_dynamics(model)
+        keys = tuple(term.key for term in terms_named(inverse, terms))
+        rungs, lengths = _regressed(inverse, inverse.prepare(record), keys, begin)
     else:
+        keys = tuple(term.key for term in terms_named(model, terms))
         lengths = [how.window] if how.window else _ladder(model, record)
-        rungs = _climbed(model, record, keys, lengths, sigma, begin, () if start else keys, how)
+        rungs = _climbed(model, record, keys, lengths, noise_of(record), begin, () if start else keys, how)
     chosen = longest_trusted(rungs)
     how.progress(f"statistics and scores, intervals by {how.intervals}")
     by_window = [_window_estimate(r, length) for r, length in zip(rungs, lengths, strict=True)]
     table = table_of(rungs[chosen], how.intervals, how.simultaneous)
-    return _finish(record, test, rungs, chosen, by_window, table, how)
+    scores = tuple(_scored(model, rungs[chosen].theta, r) for r in (record, test) if r is not None)
+    return _finish(scores, rungs, chosen, by_window, table, how)
+
+
+def _scored(model: Model, theta: FloatArray, record: Record) -> Score:
+    """By the model's own metric, with what stands beside it."""
+    sigma = noise_of(record)
+    return with_forces(score(model, theta, record, sigma), model, theta, record, sigma)
 
 
 def _ladder(model: Model, record: Record) -> list[float]:
@@ -157,17 +192,18 @@ def _climbed(
 
 
 def _regressed(
-    model: Model, record: Record, terms: Sequence[str], begin: FloatArray, sigma: FloatArray
-) -> tuple[list[Fitted], list[float], FloatArray]:
+    model: Model, record: Record, terms: Sequence[str], begin: FloatArray
+) -> tuple[list[Fitted], list[float]]:
     """One fit of inverse dynamics on the whole record, channels weighted by their own residuals."""
     length = float(record.t[-1] - record.t[0])
+    sigma = noise_of(record)
     channels = len(sigma)
     fitted = fit_terms(model, record, terms, length, sigma, start=begin)
     for _ in range(2):
         spread = np.sqrt(np.mean(fitted.solution.residuals.reshape(-1, channels) ** 2, axis=0))
         sigma = sigma * np.maximum(spread, 1e-6)
         fitted = fit_terms(model, record, terms, length, sigma, start=fitted.theta, new_terms=())
-    return [fitted], [length], sigma
+    return [fitted], [length]
 
 
 def _first_rung(
@@ -216,22 +252,30 @@ def _window_estimate(fitted: Fitted, length: float) -> WindowEstimate:
     )
 
 
+def _left(fitted: Fitted) -> tuple[FittedChannel, ...]:
+    """What the fitted windows leave of each channel."""
+    problem = fitted.problem
+    residuals = fitted.solution.residuals.reshape(-1, len(problem.sigma)) * problem.sigma
+    rmse = np.sqrt(np.mean(residuals**2, axis=0)).tolist()
+    units = problem.record.output_units
+    return tuple(FittedChannel(*problem.record.channel(j), units[j], each) for j, each in enumerate(rmse))
+
+
 def _finish(
-    record: Record,
-    test: Record | None,
+    scores: Sequence[Score],
     rungs: Sequence[Fitted],
     chosen: int,
     by_window: list[WindowEstimate],
     table: ParameterTable,
     how: Options,
 ) -> Fit:
+    """The fit on the chosen windows; ``scores`` are those on the data of the fit and, if any, on others."""
     fitted = rungs[chosen]
-    model, sigma = fitted.problem.model, fitted.problem.sigma
-    parameters = [model.parameters[i] for i in fitted.problem.free]
-    channels = record.outputs.shape[1]
-    residuals = fitted.solution.residuals.reshape(-1, channels)
-    inputs = record.inputs[fitted.problem.windows.rows, 0]
-    values = fitted.theta[fitted.problem.free]
+    problem = fitted.problem
+    parameters = [problem.model.parameters[i] for i in problem.free]
+    residuals = fitted.solution.residuals.reshape(-1, len(problem.sigma))
+    inputs = problem.record.inputs[problem.windows.rows, 0]
+    values = fitted.theta[problem.free]
     return Fit(
         terms=fitted.terms,
         estimates=table.rows,
@@ -240,13 +284,15 @@ def _finish(
         theta=fitted.theta,
         window=by_window[chosen].window,
         by_window=by_window,
-        sigma=sigma,
+        sigma=problem.sigma,
         residuals=residuals,
+        left=_left(fitted),
+        criterion=problem.model.metric,
         fitted=fitted,
         intervals=how.intervals,
         simultaneous=how.simultaneous,
-        train=score(model, fitted.theta, record, noise_of(record)),
-        test=score(model, fitted.theta, test, noise_of(test)) if test is not None else None,
+        train=scores[0],
+        test=scores[1] if len(scores) > 1 else None,
         ljung_box_p=statistics.of_channels(statistics.whiteness, residuals),
         input_crosscorrelation_p=statistics.of_channels(
             partial(statistics.input_crosscorrelation, inputs=inputs), residuals

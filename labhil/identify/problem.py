@@ -99,8 +99,9 @@ class Problem:
         """(simulated − measured) / noise, (N·c,)."""
         self.evaluations += 1
         simulated = self.model.simulate(self.theta(point.z), self.record, self.windows, point.states)
-        residuals = ((simulated - self._measured) / self.sigma).ravel()
         # a plant that runs away is wrong by enough; its square must still be a number
+        with np.errstate(over="ignore"):
+            residuals = ((simulated - self._measured) / self.sigma).ravel()
         return np.clip(np.nan_to_num(residuals, nan=WORST), -WORST, WORST)
 
     def linearise(self, point: Point, residuals: FloatArray, *, central: bool = False) -> Linearised:

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from labhil.errors import RecordingError
 from labhil.identify.least_squares import fit_states, rescue_states
 from labhil.identify.problem import Point, Problem
 from labhil.identify.windows import ScoredWindows, all_of, scored_windows
+from labhil.physics.drive_balance import Balanced
 from labhil.physics.model import Metric, Model, Record
 from labhil.signals import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)
 class ChannelScore:
-    """How well one output is simulated: MSE in unit²; RMSE, largest error, floor in unit; R² a fraction."""
+    """How well one output is simulated: MSE in unit²; RMSE, largest error, floor in unit; R² a fraction.
+
+    ``relative_error`` is RMSE over the RMS of what was measured, by inverse dynamics, where zero is no force.
+    """
 
     channel: str
     joint: int | None
@@ -25,11 +30,16 @@ class ChannelScore:
     max_abs_error: float
     r2: float
     noise_floor: float
+    metric: Metric = Metric.WINDOWED_SIMULATION
+    relative_error: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """Errors (N, c), simulated − measured, of all scored samples; ``rows`` (N,) are their places."""
+    """Errors (N, c), simulated − measured, of all scored samples; ``rows`` (N,) are their places.
+
+    ``beside`` are figures by another metric: they are shown, and enter no headline.
+    """
 
     channels: tuple[ChannelScore, ...]
     errors: FloatArray
@@ -39,6 +49,12 @@ class Score:
     horizon: float | None
     windows: ScoredWindows
     states: FloatArray
+    beside: tuple[ChannelScore, ...] = ()
+
+    @property
+    def rows_told(self) -> tuple[ChannelScore, ...]:
+        """All that is reported: the scored channels, then what stands beside them."""
+        return self.channels + self.beside
 
     @property
     def rmse(self) -> float:
@@ -92,30 +108,52 @@ def score(
     rows = windows.whole.rows[windows.scored]
     floor = _noise_floor(whole, windows, states, residuals, sigma)
     channels = tuple(
-        _channel(record, j, errors[:, j], rows, windows.whole.owner[windows.scored], floor[j])
-        for j in range(c)
+        _channel(record, j, errors[:, j], record.outputs[rows, j], floor[j], model.metric) for j in range(c)
     )
     owner = windows.whole.owner[windows.scored]
     stated = None if model.metric is Metric.INVERSE_DYNAMICS else windows.horizon
     return Score(channels, errors, rows, owner, model.metric, stated, windows, states)
 
 
+def with_forces(found: Score, model: Model, theta: FloatArray, record: Record, sigma: FloatArray) -> Score:
+    """The same score with inverse dynamics beside it, where the model can say what its drive had to push."""
+    if not isinstance(model, Balanced):
+        return found
+    try:
+        forces = model.balance(theta, record)
+    except RecordingError:  # hardly anything moves: there is nothing to show beside
+        return found
+    errors = forces.needed - forces.exerted
+    floor = float(sigma[0]) * forces.noise
+    row = _row(("drive_force", None, "N"), errors, forces.exerted, floor, Metric.INVERSE_DYNAMICS)
+    return replace(found, beside=(row,))
+
+
 def _channel(
-    record: Record, j: int, errors: FloatArray, rows: IntArray, owner: IntArray, floor: float
+    record: Record, j: int, errors: FloatArray, measured: FloatArray, floor: float, metric: Metric
 ) -> ChannelScore:
-    measured = record.outputs[rows, j]
+    return _row((*record.channel(j), record.output_units[j]), errors, measured, floor, metric)
+
+
+def _row(
+    name: tuple[str, int | None, str], errors: FloatArray, measured: FloatArray, floor: float, metric: Metric
+) -> ChannelScore:
+    """The figures of errors (N,) beside what was measured (N,); ``name`` is channel, joint and unit."""
     sse = float(errors @ errors)
     sst = float(np.sum((measured - measured.mean()) ** 2))
-    name, joint = record.channel(j)
+    rmse, size = float(np.sqrt(sse / len(errors))), float(np.sqrt(np.mean(measured**2)))
+    channel, joint, unit = name
     return ChannelScore(
-        channel=name,
+        channel=channel,
         joint=joint,
-        unit=record.output_units[j],
+        unit=unit,
         mse=sse / len(errors),
-        rmse=float(np.sqrt(sse / len(errors))),
+        rmse=rmse,
         max_abs_error=float(np.abs(errors).max()),
         r2=1.0 - sse / sst if sst > 0 else float("nan"),
         noise_floor=float(floor),
+        metric=metric,
+        relative_error=rmse / size if metric is Metric.INVERSE_DYNAMICS and size > 0 else None,
     )
 
 

@@ -59,7 +59,9 @@ def _intervals(
     """Intervals of all parameters (SI), ``reach`` normal standard errors wide, rivals included."""
     problem, solution = fitted.problem, fitted.solution
     values, errors = fitted.theta[problem.free], np.sqrt(np.maximum(np.diag(robust), 0.0))
-    inflation = np.diag(robust) / np.maximum(np.diag(classical), 1e-300)
+    seen = np.isfinite(np.diag(robust))
+    inflation = np.ones(len(values))
+    inflation[seen] = np.diag(robust)[seen] / np.maximum(np.diag(classical)[seen], 1e-300)
     ends = [(float(v - reach * e), float(v + reach * e)) for v, e in zip(values, errors, strict=True)]
     if method is Intervals.BOOTSTRAP:
         ends = bootstrap_intervals(jacobian, solution.residuals, values, fitted.dof, reach)

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from labhil.physics import sliding
+from labhil.physics.drive_balance import CUT_OFF, Balance, DriveMotion
 from labhil.physics.driven import DrivenPath
 from labhil.physics.extra_force import ExtraForce
 from labhil.physics.friction_terms import friction_terms, load_dependent_friction
@@ -167,6 +168,7 @@ class AxisModel:
         ) + tuple(p for term in self.terms.values() for p in term.parameters)
         self.state_scale = np.array([0.02 * self.sizes.span, 0.1 * self.sizes.speed])
         self._values = Values(self.fixed, self.parameters)
+        self.cut_off = rig.metric.cut_off or CUT_OFF
         self._stated = rig.metric.horizon
         self.horizon = self._stated or TIME_CONSTANTS * self.sizes.time_constant
         self._path = DrivenPath()
@@ -230,6 +232,35 @@ class AxisModel:
         part, law = self._part(theta), self._values.friction_law(theta, self._mass(theta))
         return np.asarray(sliding.accelerations(u, x, v, self._table(theta), part, law) * self._mass(theta))
 
+    def balance(self, theta: FloatArray, record: Record) -> Balance:
+        """What the drive had to push for the measured motion and what it pushed, behind the low-pass.
+
+        What a sensor's own effects do to the position is not undone.
+        """
+        motion = DriveMotion.of(record, self.cut_off)
+        nodes, values = self._path.nodes(record, 0, lambda name: self._values.of(theta, name))
+        return Balance(
+            motion.judged(self.needed(theta, record, motion)),
+            self.gain(theta) * motion.drive(nodes, values),
+            self._mass(theta) * motion.noise,
+            motion.low_pass.cut_off,
+        )
+
+    def needed(self, theta: FloatArray, record: Record, motion: DriveMotion) -> FloatArray:
+        """Force of the drive in N that a motion takes, M·ẍ + friction − all other forces, (n,)."""
+        idle = {"position": motion.x, "axis_velocity": motion.v, "acting_drive": np.zeros_like(motion.x)}
+        force = self._mass(theta) * motion.a - self.effort(theta, idle)
+        if np.any(change := self._warming(theta, record) - 1.0):
+            drag = self._values.of(theta, "viscous_friction.coefficient")
+            force += drag * np.interp(motion.t, record.t, change) * motion.v
+        # F = force + μ·|F|·sgn v, solved for F; μ is smaller than one
+        share = self._values.of(theta, "load_dependent_friction.coefficient")
+        return np.asarray(force / (1.0 - share * np.sign(motion.v) * np.sign(force)))
+
+    def gain(self, theta: FloatArray) -> float:
+        """Force per unit of the recorded drive, N/V; 1 where the force itself is recorded."""
+        return self._values.of(theta, "drive_gain") if self.volts else 1.0
+
     def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
         """What starts are fractions of, from this recording."""
         u = record.inputs[:, 0]
@@ -261,17 +292,20 @@ class AxisModel:
 
     def _table(self, theta: FloatArray) -> FloatArray:
         table = np.zeros((sliding.POWERS, sliding.POWERS))
-        table[1, 0] = (self._values.of(theta, "drive_gain") if self.volts else 1.0) / self._mass(theta)
+        table[1, 0] = self.gain(theta) / self._mass(theta)
         return table
+
+    def _warming(self, theta: FloatArray, record: Record) -> FloatArray:
+        """Viscous friction over what it is at the reference temperature, (n,)."""
+        rate = self._values.of(theta, "temperature_dependent_friction.rate")
+        return np.exp(-rate * (record.auxiliary["temperature"] - REFERENCE)) if rate else np.ones(len(record))
 
     def _trajectory(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
     ) -> FloatArray:
         """x and v of all windows, (N, 2)."""
         nodes, values = self._path.nodes(record, 0, lambda name: self._values.of(theta, name))
-        change = np.ones(len(record))
-        if rate := self._values.of(theta, "temperature_dependent_friction.rate"):
-            change = np.exp(-rate * (record.auxiliary["temperature"] - REFERENCE))
+        change = self._warming(theta, record)
         out = np.empty((len(windows.rows), 3))
         mass = self._mass(theta)
         given = (

@@ -9,9 +9,9 @@ from importlib.metadata import entry_points
 
 import numpy as np
 
-from labhil.errors import RecordingError, UnknownNameError
+from labhil.errors import RecordingError, UnknownNameError, UsageError
 from labhil.kinds import RigKind
-from labhil.physics.model import Model, Record, Windows, index_of, start_values, starts_of
+from labhil.physics.model import Metric, Model, Record, Windows, index_of, start_values, starts_of
 from labhil.recording.reader import Recording, StreamData
 from labhil.rig import RigFile, default_rig
 from labhil.signals import Signal
@@ -76,6 +76,18 @@ def rig_model(kind: str) -> RigModel:
 def model_for(rig: RigFile, record: Record | None = None) -> Model:
     """The model of this rig, with sizes for starts and scales taken from ``record`` where there is one."""
     return rig_model(rig.kind.name).load()(rig, record)
+
+
+def by_inverse_dynamics(model: Model) -> Model:
+    """The same model as inverse dynamics fits it; UsageError for a rig whose drive it does not know."""
+    from labhil.physics.axis import AxisModel
+    from labhil.physics.axis_inverse import AxisInverse
+
+    if model.metric is Metric.INVERSE_DYNAMICS:
+        return model
+    if isinstance(model, AxisModel):
+        return AxisInverse(model)
+    raise UsageError(f"inverse dynamics fits the rigs axis and ur5, found {model.kind}")
 
 
 def compile_kernels(kinds: tuple[str, ...] = ("ball_beam",)) -> None:

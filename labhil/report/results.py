@@ -23,7 +23,10 @@ from labhil.signals import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A recording that a result comes from; ``role`` is "search", "train" or "test"."""
+    """A recording that a result comes from; ``role`` is "search", "train" or "test".
+
+    ``start`` and ``duration`` (s) say which stretch of it was used.
+    """
 
     path: str
     sha256: str
@@ -31,6 +34,7 @@ class Source:
     samples: int
     duration: float
     role: str
+    start: float = 0.0
 
 
 def fit_json(fit: Fit, sources: Sequence[Source], rig: str, estimator: str, seed: int, seconds: float) -> Any:
@@ -53,6 +57,8 @@ def fit_json(fit: Fit, sources: Sequence[Source], rig: str, estimator: str, seed
                 "input_crosscorrelation_p": fit.input_crosscorrelation_p,
             },
             "intervals": {"method": fit.intervals.value, "simultaneous": fit.simultaneous},
+            "criterion": fit.criterion.value,
+            "left": [asdict(channel) for channel in fit.left],
             "window": fit.window,
             "by_window": [asdict(rung) for rung in fit.by_window],
             "converged": fit.converged,
@@ -72,7 +78,7 @@ def score_json(score: Score) -> dict[str, Any]:
         "max_abs_error": score.max_abs_error,
         "r2": score.r2,
         "noise_floor": score.noise_floor,
-        "per_channel": [asdict(channel) for channel in score.channels],
+        "per_channel": [asdict(channel) for channel in score.rows_told],
     }
 
 
@@ -138,8 +144,9 @@ def _improvement(diagnosis: Diagnosis) -> dict[str, Any]:
                 "noise_floor": a.noise_floor,
                 "r2_before": b.r2,
                 "r2_after": a.r2,
+                "metric": a.metric.value,
             }
-            for b, a in zip(before.channels, after.channels, strict=True)
+            for b, a in zip(before.rows_told, after.rows_told, strict=False)
         ],
     }
 

@@ -8,12 +8,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from labhil.diagnose.answer import Diagnosis
 from labhil.diagnose.diagnosis import diagnose
 from labhil.errors import RecordingError, UnknownNameError, UsageError
 from labhil.identify.fit import Fit, Options, fit
 from labhil.identify.further_channels import with_help
-from labhil.identify.windows import FEWEST_IN_WINDOW, split
+from labhil.identify.windows import FEWEST_IN_WINDOW, FEWEST_SAMPLES, split
 from labhil.physics.model import Model, Record, index_of, terms_named
 from labhil.physics.rigs import model_for, record_of, rig_model
 from labhil.recording.reader import Recording, read_recording
@@ -27,7 +29,10 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class Material:
-    """What a result is made from: the rig's model, the data to learn from and the data to be judged on."""
+    """What a result is made from: the rig's model, the data to learn from and the data to be judged on.
+
+    Where nothing is ``held_out`` these are the same.
+    """
 
     rig: RigFile
     model: Model
@@ -35,6 +40,7 @@ class Material:
     judge: Record
     judge_is_test: bool
     recordings: tuple[tuple[Recording, Record, str], ...]
+    held_out: bool = True
 
     def sources(self, learning: str) -> list[Source]:
         """The recordings as results name them; ``learning`` is the role of the first."""
@@ -46,6 +52,7 @@ class Material:
                 samples=len(record),
                 duration=float(record.t[-1] - record.t[0]),
                 role=role or learning,
+                start=float(record.t[0]),
             )
             for recording, record, role in self.recordings
         ]
@@ -56,20 +63,31 @@ class Material:
 
 
 def load_material(
-    path: Path, rig_path: Path | None = None, test_path: Path | None = None, holdout: float = HOLDOUT
+    path: Path,
+    rig_path: Path | None = None,
+    test_path: Path | None = None,
+    holdout: float = HOLDOUT,
+    *,
+    span: tuple[float, float] | None = None,
+    all_of_it: bool = False,
 ) -> Material:
-    """Read a recording and what it is to be judged on.
+    """Read a recording, or of it the ``span`` from … to (s), and what it is to be judged on.
 
     Without ``test_path`` the last ``holdout`` of the recording is held out, after a gap of one scored
-    horizon. The rig file is the given one, or the one that the recording carries. Raises UsageError
-    (RecordingError, RigFileError) with what is missing.
+    horizon; nothing is where ``holdout`` is 0 and ``all_of_it`` allows that. The rig file is the given one,
+    or the one that the recording carries. Raises UsageError (RecordingError, RigFileError) with what is
+    missing.
     """
-    if not 0.05 <= holdout <= 0.9:
-        raise UsageError(f"--holdout: expected a share from 0.05 to 0.9, found {holdout:g}")
+    if not (0.05 <= holdout <= 0.9 or (all_of_it and holdout == 0.0)):
+        nothing = ", or 0 to hold nothing out" if all_of_it else ""
+        raise UsageError(f"--holdout: expected a share from 0.05 to 0.9{nothing}, found {holdout:g}")
     recording = read_recording(path)
     rig = rig_of(recording, rig_path)
-    record = record_of(recording, rig.kind)
+    record = _within(record_of(recording, rig.kind), span, recording)
     model = model_for(rig, record)
+    if test_path is None and holdout == 0.0:
+        learn = model.prepare(record)
+        return Material(rig, model, learn, learn, False, ((recording, record, ""),), held_out=False)
     if test_path is None:
         learn, judge = (model.prepare(part) for part in split(record, holdout, model.horizon))
         _long_enough(learn, recording)
@@ -93,6 +111,20 @@ def rig_of(recording: Recording, rig_path: Path | None) -> RigFile:
         damage = f" ({recording.damage})" if recording.damage else ""
         raise RecordingError(f"{recording.path}: carries no rig file{damage}; give one with --rig RIG.toml")
     return recording.rig
+
+
+def _within(record: Record, span: tuple[float, float] | None, recording: Recording) -> Record:
+    """The samples of a record within ``span`` (s, both ends counted); UsageError where hardly any are."""
+    if span is None:
+        return record
+    first, last = np.searchsorted(record.t, span[0]), np.searchsorted(record.t, span[1], side="right")
+    if last - first < FEWEST_SAMPLES:
+        raise UsageError(
+            f"--span {span[0]:g} {span[1]:g}: expected at least {FEWEST_SAMPLES} samples of "
+            f"{recording.path}, which reaches from {record.t[0]:g} to {record.t[-1]:g} s, "
+            f"found {max(last - first, 0)}"
+        )
+    return record.part(int(first), int(last))
 
 
 def _long_enough(learn: Record, recording: Recording) -> None:
@@ -143,12 +175,13 @@ def fit_study(
         model,
         material.learn,
         chosen,
-        test=material.judge,
+        test=material.judge if material.held_out else None,
         start=values_of(start) if start is not None else None,
         options=how,
     )
-    judged = with_help(result.identifiability, material.rig, result.fitted)
-    result = replace(result, identifiability=judged)
+    if result.criterion is model.metric:
+        judged = with_help(result.identifiability, material.rig, result.fitted)
+        result = replace(result, identifiability=judged)
     seconds = time.perf_counter() - began
     data = fit_json(result, material.sources("train"), model.kind, how.estimator, how.seed, seconds)
     return FitResult(result, material, data)

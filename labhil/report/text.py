@@ -10,8 +10,9 @@ from rich.text import Text
 
 from labhil.diagnose.answer import Diagnosis
 from labhil.identify.fit import Fit
-from labhil.identify.score import Score
+from labhil.identify.score import ChannelScore, Score
 from labhil.identify.statistics import Estimate
+from labhil.physics.model import Metric
 from labhil.physics.terms import keyed
 from labhil.report.html.quantity import squared
 from labhil.report.verdicts import VERDICTS
@@ -28,9 +29,19 @@ def show_fit(fit: Fit, console: Console) -> None:
     console.print(
         f"Residuals: white with p = {fit.ljung_box_p:.2g} (Ljung-Box); uncorrelated with the input with "
         f"p = {fit.input_crosscorrelation_p:.2g}.\n"
-        f"Fitted on windows of {fit.window:.3g} s, {fit.evaluations} simulations"
+        f"{_fitted_on(fit)}, {fit.evaluations} simulations; RMSE there {_left(fit)}"
         + ("." if fit.converged else "; stopped before it had settled.")
     )
+
+
+def _fitted_on(fit: Fit) -> str:
+    if fit.criterion is Metric.INVERSE_DYNAMICS:
+        return "Fitted by inverse dynamics"
+    return f"Fitted on windows of {fit.window:.3g} s"
+
+
+def _left(fit: Fit) -> str:
+    return ", ".join(f"{channel.rmse:.4g} {channel.unit}" for channel in fit.left)
 
 
 def _kind(fit: Fit) -> str:
@@ -85,18 +96,33 @@ def score_table(scores: Sequence[tuple[str, Score]]) -> Table:
     )
     for name in ("data", "channel", "RMSE", "noise floor", "max. error", "MSE", "R²"):
         table.add_column(name, justify="left" if name in ("data", "channel") else "right")
+    forces = any(row.relative_error is not None for _, score in scores for row in score.rows_told)
+    if forces:
+        table.add_column("RMSE/RMS", justify="right")
     for label, score in scores:
-        for channel in score.channels:
+        for channel in score.rows_told:
             table.add_row(
                 label,
-                keyed(channel.channel, channel.joint),
+                _told(channel, score),
                 f"{channel.rmse:.4g} {channel.unit}",
                 f"{channel.noise_floor:.4g} {channel.unit}",
                 f"{channel.max_abs_error:.4g} {channel.unit}",
                 f"{channel.mse:.4g} {squared(channel.unit)}",
                 f"{100 * channel.r2:.2f} %",
+                *((_share(channel),) if forces else ()),
             )
     return table
+
+
+def _told(channel: ChannelScore, score: Score) -> str:
+    """A channel's name, with the metric where it is not the headline's."""
+    name = keyed(channel.channel, channel.joint)
+    return name if channel.metric is score.metric else f"{name} ({channel.metric.value.replace('_', ' ')})"
+
+
+def _share(channel: ChannelScore) -> str:
+    """The error over what was measured, where zero means something."""
+    return "" if channel.relative_error is None else f"{100 * channel.relative_error:.2f} %"
 
 
 def window_table(fit: Fit) -> Table:
@@ -125,7 +151,7 @@ def _fit_notes(fit: Fit) -> list[str]:
         if row.at_bound and row.identifiable
     ]
     if fit.identifiability.rank < fit.identifiability.of:
-        known = ", ".join(fit.identifiability.combinations)
+        known = ", ".join(fit.identifiability.combinations) or "nothing"
         notes.append(
             f"The data know {fit.identifiability.rank} of {fit.identifiability.of} parameters; "
             f"what they know of the rest: {known}."

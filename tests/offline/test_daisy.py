@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-RIG = Path(__file__).with_name("daisy.toml")
+RIG = Path(__file__).parents[2] / "docs" / "measured" / "daisy.toml"
 TERMS = "viscous_friction,coulomb_friction,time_delay"
 ACROSS_WINDOWS = ("1.0", "2.0")
 

@@ -22,7 +22,7 @@ from labhil.physics.rigs import record_of
 from labhil.recording.reader import read_recording
 from labhil.rig import load_rig
 
-RIG = Path(__file__).with_name("ur10e.toml")
+RIG = Path(__file__).parents[2] / "docs" / "measured" / "ur10e.toml"
 LEARNED = "ur-20_02_19_14harm50sec.csv"
 LOADED = "ur-20_02_19_14harm50secLoad.csv"
 FOURIER = "ur-20_02_12-40sec_12harm.csv"

@@ -65,7 +65,7 @@ class ArmModel:
         known = rig.known_numbers("torque_constant")
         self._constant = np.full(JOINTS, TYPICAL_CONSTANT) if known is None else np.array(known)
         self.fixed = {} if known is None else {keyed("torque_constant", j): k for j, k in enumerate(known)}
-        self.cut_off = cut_off_of(record)
+        self.cut_off = rig.metric.cut_off or cut_off_of(record)
         self.horizon = rig.metric.horizon or 1.0
         sizes = Sizes.of(record, self._constant)
         warm = None if record is None else temperatures(record)

@@ -9,6 +9,7 @@ from labhil.report.html.curve import curve_picture
 from labhil.report.html.element import Content, Markup, joined, tag
 from labhil.report.html.model import (
     bars,
+    channel_named,
     intervals_picture,
     named,
     names,
@@ -81,18 +82,13 @@ def _figures(diagnosis: DiagnosisPart) -> Markup:
         ("p that the baseline suffices", p_value(diagnosis.p_value), joined(_p_remark(diagnosis)))
     ]
     if better is not None:
-        unit = _headline_unit(better)
+        unit = better.unit
         entries += [
             ("RMSE before", quantity(better.rmse_before, unit), _over_floor(better.rmse_before, better)),
             ("RMSE after", quantity(better.rmse_after, unit), _over_floor(better.rmse_after, better)),
             ("R² after", percent(better.r2_after), f"{percent(better.r2_before)} before, {_judged(better)}"),
         ]
     return tiles(entries)
-
-
-def _headline_unit(better: ImprovementPart) -> str:
-    """With several channels the headline is in multiples of their noise floors."""
-    return better.per_channel[0].unit if len(better.per_channel) == 1 else ""
 
 
 def _over_floor(rmse: float | None, better: ImprovementPart) -> str:
@@ -196,7 +192,7 @@ def _improvement(better: ImprovementPart | None, pictures: Sequence[Markup]) -> 
         *numbers("R² before", "R² after"),
     )
     caption = "Before above after; the line is the noise floor, which a perfect model would reach"
-    rows = [_channel(channel) for channel in better.per_channel]
+    rows = [_channel(channel, better.metric) for channel in better.per_channel]
     return section(
         "How much better the model predicts",
         tag("p", _scored(better)),
@@ -213,9 +209,9 @@ def _scored(better: ImprovementPart) -> str:
     return f"Scored by simulating windows of {horizon} of {data}, which the search never saw."
 
 
-def _channel(channel: ChannelImprovement) -> list[Content]:
+def _channel(channel: ChannelImprovement, metric: str) -> list[Content]:
     return [
-        named(channel.channel, channel.joint),
+        channel_named(channel, metric),
         quantity(channel.rmse_before, channel.unit),
         quantity(channel.rmse_after, channel.unit),
         quantity(channel.noise_floor, channel.unit),

@@ -12,6 +12,7 @@ from labhil.physics.terms import keyed
 from labhil.report.figure import AFTER, MEASURED, figure_of, finish
 from labhil.report.html.element import Content, Markup, tag
 from labhil.report.html.model import (
+    channel_named,
     intervals_picture,
     names,
     parameters_table,
@@ -68,12 +69,11 @@ def _headline(fit: FitPart) -> str:
 
 def _lead(fit: FitPart) -> tuple[Content, ...]:
     judge, data = _judge(fit)
-    unit = judge.per_channel[0].unit if len(judge.per_channel) == 1 else ""
     known = fit.identifiability
     figures = tiles(
         (
-            ("RMSE", quantity(judge.rmse, unit), f"on {data}"),
-            ("Noise floor", quantity(judge.noise_floor, unit), "what a perfect model would reach"),
+            ("RMSE", quantity(judge.rmse, judge.unit), f"on {data}"),
+            ("Noise floor", quantity(judge.noise_floor, judge.unit), "what a perfect model would reach"),
             ("RMSE ÷ noise floor", multiple(judge.rmse, judge.noise_floor), "1 × is as good as can be"),
             ("Parameters known", f"{known.rank} of {known.of}", "identifiable from these data"),
         )
@@ -113,9 +113,9 @@ def _scores(fit: FitPart, pictures: Sequence[Markup]) -> Section | None:
         *text("Data", "Channel"),
         *numbers("RMSE", "Noise floor", "RMSE ÷ floor", "Largest error", "MSE", "R²"),
     )
-    rows = [_channel("train", channel) for channel in fit.train.per_channel]
+    rows = [_channel("train", channel, fit.train) for channel in fit.train.per_channel]
     if fit.test is not None:
-        rows += [_channel("test", channel) for channel in fit.test.per_channel]
+        rows += [_channel("test", channel, fit.test) for channel in fit.test.per_channel]
     if fit.train.metric == "inverse_dynamics":
         caption = "Errors of inverse dynamics"
     else:
@@ -123,10 +123,10 @@ def _scores(fit: FitPart, pictures: Sequence[Markup]) -> Section | None:
     return section("How well it predicts", table(caption, columns, rows), *pictures)
 
 
-def _channel(data: str, channel: ChannelErrors) -> list[Content]:
+def _channel(data: str, channel: ChannelErrors, score: ScorePart) -> list[Content]:
     return [
         data,
-        tag("code", keyed(channel.channel, channel.joint)),
+        channel_named(channel, score.metric),
         quantity(channel.rmse, channel.unit),
         quantity(channel.noise_floor, channel.unit),
         multiple(channel.rmse, channel.noise_floor),

@@ -12,8 +12,8 @@ from labhil.physics.terms import keyed
 from labhil.report.figure import AFTER, figure_of, finish
 from labhil.report.html.element import Content, Markup, joined, tag
 from labhil.report.html.picture import Album, label
-from labhil.report.html.quantity import NOTHING, count, interval, p_value, quantity
-from labhil.report.html.schema import ParameterRow, Source
+from labhil.report.html.quantity import NOTHING, count, interval, p_value, percent, quantity
+from labhil.report.html.schema import ChannelErrors, ChannelImprovement, ParameterRow, Source
 from labhil.report.html.table import numbers, table, text
 
 WIDEST = 120.0
@@ -130,6 +130,16 @@ def named(name: str, joint: int | None = None) -> Markup:
     """A name as code, which a narrow column may break behind its dots."""
     first, *others = keyed(name, joint).split(".")
     return tag("code", first, *(joined((".", tag("wbr"), other)) for other in others))
+
+
+def channel_named(row: ChannelErrors | ChannelImprovement, metric: str) -> Content:
+    """A channel's name, with its metric where that is not the headline's ``metric``."""
+    name = named(row.channel, row.joint)
+    if row.metric in (None, metric):
+        return name
+    share = row.relative_error if isinstance(row, ChannelErrors) else None
+    error = "" if share is None else f", {percent(share)} of the RMS"
+    return joined((name, f" ({str(row.metric).replace('_', ' ')}{error})"))
 
 
 def bars(before: float | None, after: float | None, floor: float | None) -> Markup | None:

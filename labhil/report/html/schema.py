@@ -63,6 +63,8 @@ class ChannelErrors(Part):
     max_abs_error: Number = None
     r2: Number = None
     noise_floor: Number = None
+    metric: str | None = None
+    relative_error: Number = None
 
 
 class ScorePart(Part):
@@ -74,6 +76,12 @@ class ScorePart(Part):
     r2: Number = None
     noise_floor: Number = None
     per_channel: tuple[ChannelErrors, ...]
+
+    @property
+    def unit(self) -> str:
+        """Of the headline, which is in multiples of noise floors where it is of several channels."""
+        own = [row for row in self.per_channel if row.metric in (None, self.metric)]
+        return own[0].unit if len(own) == 1 else ""
 
 
 class IdentifiabilityPart(Part):
@@ -232,6 +240,7 @@ class ChannelImprovement(Part):
     noise_floor: Number = None
     r2_before: Number = None
     r2_after: Number = None
+    metric: str | None = None
 
 
 class ImprovementPart(Part):
@@ -248,6 +257,12 @@ class ImprovementPart(Part):
     r2_before: Number = None
     r2_after: Number = None
     per_channel: tuple[ChannelImprovement, ...] = ()
+
+    @property
+    def unit(self) -> str:
+        """Of the headline, which is in multiples of noise floors where it is of several channels."""
+        own = [row for row in self.per_channel if row.metric in (None, self.metric)]
+        return own[0].unit if len(own) == 1 else ""
 
 
 class CurvePart(Part):
