@@ -128,7 +128,10 @@ def _beyond(data: Data, found: Found) -> tuple[Found, Unmodelled | None]:
         return found, beyond
     alone = _curve(data, found.baseline)
     effective = effective_samples(beyond.fit)
-    if alone is None or bic(alone.fit, effective, alone.degrees) > bic(beyond.fit, effective, beyond.degrees):
+    if alone is None:
+        return found, beyond
+    marks = [bic(each.fit, effective, each.degrees) for each in (alone, beyond)]
+    if marks[0] - marks[1] > NEEDED_BIC:
         return found, beyond
     return replace(found, final=found.baseline, missing=(), rivals=()), alone
 

@@ -36,8 +36,8 @@ CONFIRMED_PAIRS = 3
 STILL_NOISY = 1.15
 """Residuals this much above the noise say that something is still missing."""
 
-RELEVANT = 0.02
-"""Share of what noise does not explain of the baseline's squared residuals that a term has to explain.
+RELEVANT, RELEVANT_BESIDE = 0.05, 0.2
+"""A term has to explain this share of the baseline's squared residuals beyond noise, or this of what is left.
 
 On precise recordings of real mechanisms there is always a further term that chance does not explain.
 """
@@ -363,8 +363,8 @@ def _preferred(data: Data, before: Fitted, after: Fitted, delta_bic: float) -> b
 
 def _relevant(baseline: Fitted, before: Fitted, after: Fitted) -> bool:
     """Whether a step explains enough of what the baseline leaves unexplained."""
-    unexplained = baseline.solution.cost - baseline.dof
-    return before.solution.cost - after.solution.cost > RELEVANT * unexplained
+    at_first, left = (fitted.solution.cost - fitted.dof for fitted in (baseline, before))
+    return before.solution.cost - after.solution.cost > min(RELEVANT * at_first, RELEVANT_BESIDE * left)
 
 
 def _significant(fitted: Fitted, term: str) -> bool:
