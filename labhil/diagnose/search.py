@@ -36,7 +36,7 @@ CONFIRMED_PAIRS = 3
 STILL_NOISY = 1.15
 """Residuals this much above the noise say that something is still missing."""
 
-RELEVANT, RELEVANT_BESIDE = 0.05, 0.2
+RELEVANT, RELEVANT_BESIDE = 0.05, 0.5
 """A term has to explain this share of the baseline's squared residuals beyond noise, or this of what is left.
 
 On precise recordings of real mechanisms there is always a further term that chance does not explain.
