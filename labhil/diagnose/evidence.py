@@ -10,6 +10,7 @@ from scipy import stats
 
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score
+from labhil.identify.statistics import neighbours
 from labhil.physics.model import Metric
 from labhil.signals import FloatArray
 
@@ -31,13 +32,16 @@ class Evidence:
 
 def effective_samples(fitted: Fitted) -> float:
     """How many independent residuals those of a fit are worth."""
-    return independent(_channels(fitted))
+    return independent(_channels(fitted), fitted.problem.begins)
 
 
-def independent(residuals: FloatArray) -> float:
-    """How many independent ones residuals (n, channels) are worth, by an AR(1) of all channels."""
+def independent(residuals: FloatArray, begins: Sequence[int] = (0,)) -> float:
+    """How many independent ones residuals (n, channels) are worth, by an AR(1) of all channels.
+
+    Recordings begin at the rows ``begins``.
+    """
     power = float(np.sum(residuals**2))
-    rho = float(np.sum(residuals[1:] * residuals[:-1])) / power if power > 0 else 0.0
+    rho = float(np.sum(neighbours(residuals, begins))) / power if power > 0 else 0.0
     rho = min(max(rho, 0.0), 0.99)
     return residuals.size * (1.0 - rho) / (1.0 + rho)
 
@@ -79,12 +83,13 @@ def heldout_gain(before: Score, after: Score) -> tuple[float, float]:
     """Log likelihood that a model gains on data it never saw, nats, and the p value that it gains at all.
 
     Windows are independent, so they are what is counted: a one-sided t test of the gains of windows. Inverse
-    dynamics has one window, which is cut into blocks.
+    dynamics has none but whole recordings, which are cut into blocks.
     """
     scale = np.array([max(c.noise_floor, c.rmse) for c in after.channels])
     gain = _student(after.errors / scale) - _student(before.errors / scale)
     if after.metric is Metric.INVERSE_DYNAMICS:
-        worth = _independent_share(after.errors)
+        begins = np.flatnonzero(np.r_[True, np.diff(after.window) > 0]).tolist()
+        worth = _independent_share(after.errors, begins)
         gains = np.array([worth * block.sum() for block in np.array_split(gain, BLOCKS)])
     else:
         owners = np.unique(after.window)
@@ -97,9 +102,9 @@ def heldout_gain(before: Score, after: Score) -> tuple[float, float]:
     return total, float(stats.t.sf(t, len(gains) - 1))
 
 
-def _independent_share(errors: FloatArray) -> float:
+def _independent_share(errors: FloatArray, begins: Sequence[int]) -> float:
     """Share of the samples of errors (N, c) that are worth an independent one, by each channel's AR(1)."""
-    rho = np.sum(errors[1:] * errors[:-1], axis=0) / np.maximum(np.sum(errors**2, axis=0), 1e-300)
+    rho = np.sum(neighbours(errors, begins), axis=0) / np.maximum(np.sum(errors**2, axis=0), 1e-300)
     rho = float(np.clip(np.max(rho), 0.0, 0.99))
     return (1.0 - rho) / (1.0 + rho)
 

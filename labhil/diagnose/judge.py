@@ -20,6 +20,9 @@ NEEDED_BIC = -10.0
 JUDGED_LENGTH, JUDGED_WINDOWS = 4.0 / 3.0, 10
 """Judged windows are this much longer than those of the search, or so short that they can be counted."""
 
+MOST_OF_A_RECORDING = 0.5
+"""Share of each of several recordings that a judged window, which has a lead-in too, may have."""
+
 JUDGED_SHARES = (1.0, 0.25)
 """What acts slowly shows on long windows, what acts fast and often on many short ones."""
 
@@ -51,8 +54,9 @@ class Data:
 
     def judge(self, theta: FloatArray) -> tuple[Score, ...]:
         """Scores on held-out windows short enough to be counted: on long ones, and on short ones."""
-        duration = float(self.test.t[-1] - self.test.t[0])
-        length = min(JUDGED_LENGTH * self.window, duration / JUDGED_WINDOWS)
+        durations = self.test.durations
+        countable = min(sum(durations) / JUDGED_WINDOWS, MOST_OF_A_RECORDING * min(durations))
+        length = min(JUDGED_LENGTH * self.window, countable)
         shares = JUDGED_SHARES if self.model.state_names else (1.0,)
         return tuple(score(self.model, theta, self.test, self.test_sigma, share * length) for share in shares)
 

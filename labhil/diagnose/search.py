@@ -167,7 +167,7 @@ class Hunt:
         return _prune(data, current, self.base, self.progress)
 
     def _reach(self, share: float) -> float:
-        return min(share * self.data.window, float(self.data.search.t[-1] - self.data.search.t[0]))
+        return min(share * self.data.window, self.data.search.longest)
 
     def _added(self, trail: Trail, ranked: Sequence[Candidate], pairs: Sequence[Candidate]) -> Fitted | None:
         """The best supported addition of those that promise most."""

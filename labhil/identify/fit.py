@@ -127,7 +127,7 @@ def fit(
 def _ladder(model: Model, record: Record) -> list[float]:
     """Lengths of windows (s), short to long; to the whole record where the plant forgets how it began."""
     lengths = [share * WINDOW_IN_HORIZONS * model.horizon for share in LADDER]
-    whole = float(record.t[-1] - record.t[0])
+    whole = record.longest
     if model.forgets and whole > LONGER * lengths[-1]:
         lengths = [*lengths[1:], float(np.sqrt(lengths[-1] * whole)), whole]
     return lengths
@@ -160,7 +160,7 @@ def _regressed(
     model: Model, record: Record, terms: Sequence[str], begin: FloatArray, sigma: FloatArray
 ) -> tuple[list[Fitted], list[float], FloatArray]:
     """One fit of inverse dynamics on the whole record, channels weighted by their own residuals."""
-    length = float(record.t[-1] - record.t[0])
+    length = record.longest
     channels = len(sigma)
     fitted = fit_terms(model, record, terms, length, sigma, start=begin)
     for _ in range(2):
@@ -230,7 +230,7 @@ def _finish(
     parameters = [model.parameters[i] for i in fitted.problem.free]
     channels = record.outputs.shape[1]
     residuals = fitted.solution.residuals.reshape(-1, channels)
-    inputs = record.inputs[fitted.problem.windows.rows, 0]
+    inputs, begins = record.inputs[fitted.problem.windows.rows, 0], fitted.problem.begins
     values = fitted.theta[fitted.problem.free]
     return Fit(
         terms=fitted.terms,
@@ -247,9 +247,9 @@ def _finish(
         simultaneous=how.simultaneous,
         train=score(model, fitted.theta, record, noise_of(record)),
         test=score(model, fitted.theta, test, noise_of(test)) if test is not None else None,
-        ljung_box_p=statistics.of_channels(statistics.whiteness, residuals),
+        ljung_box_p=statistics.of_channels(lambda r, _: statistics.whiteness(r), residuals, begins),
         input_crosscorrelation_p=statistics.of_channels(
-            partial(statistics.input_crosscorrelation, inputs=inputs), residuals
+            lambda r, rows: statistics.input_crosscorrelation(r, inputs[rows]), residuals, begins
         ),
         evaluations=sum(rung.problem.evaluations for rung in rungs),
         converged=fitted.solution.converged,

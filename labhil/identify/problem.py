@@ -35,11 +35,18 @@ class Linearised:
     by_states: FloatArray
 
 
+def begins_among(record: Record, windows: Windows) -> tuple[int, ...]:
+    """Which of the windows' rows are the first of a recording."""
+    places = np.searchsorted(windows.rows, [begin.row for begin in record.begins])
+    return tuple(sorted({0, *(int(place) for place in places if place < len(windows.rows))}))
+
+
 class Problem:
     """Residuals of simulated windows against a record, in units of the noise.
 
     ``free`` (P,) are the places of the estimated parameters in the model's vector; ``base`` is that
     vector with everything else in place; ``sigma`` (channels,) the noise that residuals are divided by.
+    ``begins`` are the rows of the windows (of samples, not of channels) at which a recording begins.
     """
 
     def __init__(
@@ -65,6 +72,7 @@ class Problem:
         channels = record.outputs.shape[1]
         self.owner = np.repeat(windows.owner, channels)
         self.edges = np.flatnonzero(np.r_[True, np.diff(self.owner) > 0])
+        self.begins = begins_among(record, windows)
         self.evaluations = 0
         self.guess = model.initial_states(record, windows)
         self._measured = record.outputs[windows.rows]

@@ -28,17 +28,10 @@ class ChannelScore:
 
 
 @dataclass(frozen=True, slots=True)
-class Score:
-    """Errors (N, c), simulated − measured, of all scored samples; ``rows`` (N,) are their places."""
+class Figures:
+    """Headline figures of some channels."""
 
     channels: tuple[ChannelScore, ...]
-    errors: FloatArray
-    rows: IntArray
-    window: IntArray
-    metric: Metric
-    horizon: float | None
-    windows: ScoredWindows
-    states: FloatArray
 
     @property
     def rmse(self) -> float:
@@ -70,6 +63,30 @@ class Score:
         return self.channels[0].noise_floor if len(self.channels) == 1 else 1.0
 
 
+@dataclass(frozen=True, slots=True)
+class RecordingScore(Figures):
+    """The same on one of several recordings, by its number."""
+
+    recording: int
+
+
+@dataclass(frozen=True, slots=True)
+class Score(Figures):
+    """Errors (N, c), simulated − measured, of all scored samples; ``rows`` (N,) are their places.
+
+    ``recordings`` are the figures of each recording, where there are several.
+    """
+
+    errors: FloatArray
+    rows: IntArray
+    window: IntArray
+    metric: Metric
+    horizon: float | None
+    windows: ScoredWindows
+    states: FloatArray
+    recordings: tuple[RecordingScore, ...] = ()
+
+
 def score(
     model: Model, theta: FloatArray, record: Record, sigma: FloatArray, horizon: float | None = None
 ) -> Score:
@@ -90,22 +107,48 @@ def score(
     c = record.outputs.shape[1]
     errors = residuals.reshape(-1, c)[windows.scored] * sigma
     rows = windows.whole.rows[windows.scored]
-    floor = _noise_floor(whole, windows, states, residuals, sigma)
-    channels = tuple(
-        _channel(record, j, errors[:, j], rows, windows.whole.owner[windows.scored], floor[j])
-        for j in range(c)
-    )
+    carried = _carried(whole, windows, states, residuals)
     owner = windows.whole.owner[windows.scored]
     stated = None if model.metric is Metric.INVERSE_DYNAMICS else windows.horizon
-    return Score(channels, errors, rows, owner, model.metric, stated, windows, states)
+    return Score(
+        _channels(record, errors, rows, sigma, carried),
+        errors,
+        rows,
+        owner,
+        model.metric,
+        stated,
+        windows,
+        states,
+        _by_recording(record, errors, rows, sigma, carried),
+    )
 
 
-def _channel(
-    record: Record, j: int, errors: FloatArray, rows: IntArray, owner: IntArray, floor: float
-) -> ChannelScore:
-    measured = record.outputs[rows, j]
+def _by_recording(
+    record: Record, errors: FloatArray, rows: IntArray, sigma: FloatArray, carried: FloatArray
+) -> tuple[RecordingScore, ...]:
+    """Figures of each recording; none where there is only one."""
+    if len(record.begins) == 1:
+        return ()
+    found = []
+    for begin, (first, last) in zip(record.begins, record.spans, strict=True):
+        own = slice(*np.searchsorted(rows, [first, last]).tolist())
+        channels = _channels(record, errors[own], rows[own], sigma, carried[own])
+        found.append(RecordingScore(channels, begin.number))
+    return tuple(found)
+
+
+def _channels(
+    record: Record, errors: FloatArray, rows: IntArray, sigma: FloatArray, carried: FloatArray
+) -> tuple[ChannelScore, ...]:
+    """How well each output is simulated at these rows (N,); ``carried`` (N, c) as of :func:`_carried`."""
+    # the noise floor: the RMSE of a perfect model
+    floor = np.asarray(sigma * np.sqrt(1.0 + carried.mean(axis=0)))
+    return tuple(_channel(record, j, errors[:, j], rows, floor[j]) for j in range(errors.shape[1]))
+
+
+def _channel(record: Record, j: int, errors: FloatArray, rows: IntArray, floor: float) -> ChannelScore:
     sse = float(errors @ errors)
-    sst = float(np.sum((measured - measured.mean()) ** 2))
+    sst = _spread(record, j, rows)
     name, joint = record.channel(j)
     return ChannelScore(
         channel=name,
@@ -119,16 +162,26 @@ def _channel(
     )
 
 
-def _noise_floor(
-    whole: Problem, windows: ScoredWindows, states: FloatArray, residuals: FloatArray, sigma: FloatArray
-) -> FloatArray:
-    """RMSE of a perfect model: σ·√(1 + mean of a·(AᵀA)⁻¹·aᵀ), A over the lead-in, a over the scored part."""
-    c = len(sigma)
+def _spread(record: Record, j: int, rows: IntArray) -> float:
+    """Sum of squares of an output about its mean in each recording: one does not explain where another is."""
+    total = 0.0
+    for first, last in record.spans:
+        measured = record.outputs[rows[slice(*np.searchsorted(rows, [first, last]).tolist())], j]
+        if len(measured):
+            total += float(np.sum((measured - measured.mean()) ** 2))
+    return total
+
+
+def _carried(whole: Problem, windows: ScoredWindows, states: FloatArray, residuals: FloatArray) -> FloatArray:
+    """What the initial state's error adds to the variance of each scored sample (N, c), over the noise's.
+
+    a·(AᵀA)⁻¹·aᵀ, A over the lead-in, a over the scored part; the noise floor is σ·√(1 + its mean).
+    """
+    c = len(whole.sigma)
     lin = whole.linearise(Point(np.empty(0), states), residuals)
     lead_rows = np.repeat(~windows.scored, c)[:, None]
     gram = whole.state_gram(lin.by_states * lead_rows)
     spread = np.linalg.inv(gram)[whole.owner]
     carried = np.einsum("ns,nst,nt->n", lin.by_states, spread, lin.by_states)
     # a state that its lead-in cannot see (a ball that rests there) stays where it was put
-    carried = np.minimum(carried, 100.0).reshape(-1, c)[windows.scored]
-    return np.asarray(sigma * np.sqrt(1.0 + carried.mean(axis=0)))
+    return np.asarray(np.minimum(carried, 100.0).reshape(-1, c)[windows.scored])

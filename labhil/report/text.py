@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from rich.console import Console, Group, RenderableType
 from rich.table import Table
@@ -10,15 +10,16 @@ from rich.text import Text
 
 from labhil.diagnose.answer import Diagnosis
 from labhil.identify.fit import Fit
-from labhil.identify.score import Score
+from labhil.identify.score import Figures, Score
 from labhil.identify.statistics import Estimate
 from labhil.physics.terms import keyed
 from labhil.report.html.quantity import squared
 from labhil.report.verdicts import VERDICTS
 
 
-def show_fit(fit: Fit, console: Console) -> None:
-    """Print a fit."""
+def show_fit(fit: Fit, console: Console, numbered: Sequence[str] = ()) -> None:
+    """Print a fit; ``numbered`` are lines that say what the numbers of several recordings stand for."""
+    _show_numbered(numbered, console)
     console.print(parameter_table(fit.estimates, f"Parameters: errors robust to correlation, {_kind(fit)}"))
     for note in _fit_notes(fit):
         console.print(Text("· " + note, style="yellow"))
@@ -31,6 +32,11 @@ def show_fit(fit: Fit, console: Console) -> None:
         f"Fitted on windows of {fit.window:.3g} s, {fit.evaluations} simulations"
         + ("." if fit.converged else "; stopped before it had settled.")
     )
+
+
+def _show_numbered(numbered: Sequence[str], console: Console) -> None:
+    for line in numbered:
+        console.print(Text(line))
 
 
 def _kind(fit: Fit) -> str:
@@ -48,7 +54,7 @@ def parameter_table(estimates: Sequence[Estimate], title: str) -> Table:
     table.add_column("unit")
     for row in estimates:
         table.add_row(
-            keyed(row.name, row.joint),
+            row.key,
             f"{row.value:.5g}",
             f"{row.std_error:.2g}",
             f"[{row.ci99[0]:.4g}, {row.ci99[1]:.4g}]".replace("[", r"\["),
@@ -74,7 +80,7 @@ def _mark(row: Estimate) -> str:
 
 
 def score_table(scores: Sequence[tuple[str, Score]]) -> Table:
-    """Errors of windowed simulation, one row per data set and channel."""
+    """Errors of windowed simulation, one row per data set and channel, then those of each recording."""
     horizon = scores[0][1].horizon
     table = Table(
         title="Inverse dynamics" if horizon is None else f"Simulated windows of {horizon:.3g} s",
@@ -85,8 +91,8 @@ def score_table(scores: Sequence[tuple[str, Score]]) -> Table:
     )
     for name in ("data", "channel", "RMSE", "noise floor", "max. error", "MSE", "R²"):
         table.add_column(name, justify="left" if name in ("data", "channel") else "right")
-    for label, score in scores:
-        for channel in score.channels:
+    for label, figures in _each_recording(scores):
+        for channel in figures.channels:
             table.add_row(
                 label,
                 keyed(channel.channel, channel.joint),
@@ -97,6 +103,13 @@ def score_table(scores: Sequence[tuple[str, Score]]) -> Table:
                 f"{100 * channel.r2:.2f} %",
             )
     return table
+
+
+def _each_recording(scores: Sequence[tuple[str, Score]]) -> Iterator[tuple[str, Figures]]:
+    for label, score in scores:
+        yield label, score
+        for own in score.recordings:
+            yield f"{label} @{own.recording}", own
 
 
 def window_table(fit: Fit) -> Table:
@@ -120,7 +133,7 @@ def window_table(fit: Fit) -> Table:
 
 def _fit_notes(fit: Fit) -> list[str]:
     notes = [
-        f"{row.name} is at its bound, so its interval is one-sided at best."
+        f"{keyed(row.name, None, row.recording)} is at its bound, so its interval is one-sided at best."
         for row in fit.estimates
         if row.at_bound and row.identifiable
     ]
@@ -140,8 +153,9 @@ def _fit_notes(fit: Fit) -> list[str]:
     return notes
 
 
-def show_diagnosis(diagnosis: Diagnosis, console: Console) -> None:
-    """Print a diagnosis."""
+def show_diagnosis(diagnosis: Diagnosis, console: Console, numbered: Sequence[str] = ()) -> None:
+    """Print a diagnosis; ``numbered`` are lines that say what the numbers of several recordings stand for."""
+    _show_numbered(numbered, console)
     console.print(diagnosis_text(diagnosis))
 
 
@@ -179,7 +193,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> RenderableType:
     ]
     parts += [
         Text(
-            f"• {keyed(c.name, c.joint)} changed from {c.before:.4g} to {c.after:.4g} {c.unit} "
+            f"• {keyed(c.name, c.joint, c.recording)} changed from {c.before:.4g} to {c.after:.4g} {c.unit} "
             f"(p = {c.p_value:.2g})"
         )
         for c in diagnosis.changed
@@ -199,7 +213,8 @@ def diagnosis_text(diagnosis: Diagnosis) -> RenderableType:
             Text(
                 "Not there, or smaller than this (99 %): "
                 + ", ".join(
-                    f"{keyed(e.term, e.joint)} {e.largest_hidden:.2g} {e.unit}" for e in diagnosis.excluded
+                    f"{keyed(e.term, e.joint, e.recording)} {e.largest_hidden:.2g} {e.unit}"
+                    for e in diagnosis.excluded
                 ),
                 style="dim",
             )

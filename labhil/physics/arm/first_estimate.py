@@ -7,6 +7,7 @@ wrong by one per cent changes that friction, a few per cent of the torque itself
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,42 +34,57 @@ class FirstEstimate:
 
 
 def first_estimate(
-    links: Links, record: PreparedRecord, motion_view: View, torque_constant: FloatArray
+    links: Links, seen: Sequence[tuple[PreparedRecord, View]], torque_constant: FloatArray
 ) -> FirstEstimate:
     """Least squares of the currents on the rigid body, friction and offsets of each joint.
 
-    ``torque_constant`` (6,) N·m/A. Friction that grows with the load joins in once a load is known.
+    ``seen`` are recordings with their views; ``torque_constant`` (6,) N·m/A. Friction that grows with the
+    load joins in once a load is known.
     """
-    motion = record.motion
-    judged = motion.judged[record.places] if motion is not None else np.ones(record.outputs.shape, dtype=bool)
+    judged = np.concatenate([_judged(record) for record, _ in seen])
+    outputs = np.concatenate([record.outputs for record, _ in seen])
     everything = grouped(links)
-    rigid = motion_view.rigid(upright(), 0.0)[:, :, list(everything.kept)] / torque_constant[None, :, None]
-    others = _joint_columns(motion_view, None, torque_constant)
+    loads = np.concatenate([view.rigid(upright(), 0.0)[:, :, list(everything.kept)] for _, view in seen])
+    rigid = loads / torque_constant[None, :, None]
+    others = _joint_columns(seen, None, torque_constant)
     columns = np.concatenate([rigid, others], axis=2)
     own = len(everything.kept)
     values = np.zeros(own)
     chosen = list(range(own))
     for _ in range(PASSES):
-        equations = NormalEquations.of(columns, record.outputs, judged)
+        equations = NormalEquations.of(columns, outputs, judged)
         found, _ = equations.solved(list(range(columns.shape[2])))
-        inflation = memory((record.outputs - columns @ found) * judged)
+        inflation = memory((outputs - columns @ found) * judged)
         chosen = significant(equations, own, inflation)
         kept = chosen + list(range(own, columns.shape[2]))
         found, covariance = equations.solved(kept)
         values = found[: len(chosen)]
         inertial = everything.only(chosen).embedded(values)
-        columns = np.concatenate([rigid, _joint_columns(motion_view, inertial, torque_constant)], axis=2)
+        columns = np.concatenate([rigid, _joint_columns(seen, inertial, torque_constant)], axis=2)
     errors = np.sqrt(inflation * np.maximum(np.diag(covariance), 0.0))[: len(chosen)]
     return FirstEstimate(everything.only(chosen), values, errors)
 
 
-def _joint_columns(view: View, inertial: FloatArray | None, torque_constant: FloatArray) -> FloatArray:
+def _judged(record: PreparedRecord) -> np.ndarray:
+    """Which samples of which joints (n, 6) count."""
+    motion = record.motion
+    return np.ones(record.outputs.shape, dtype=bool) if motion is None else motion.judged[record.places]
+
+
+def _joint_columns(
+    seen: Sequence[tuple[PreparedRecord, View]], inertial: FloatArray | None, torque_constant: FloatArray
+) -> FloatArray:
     """Friction and offset of each joint (n, 6, k): a joint's columns are zero for all others."""
+    views = [view for _, view in seen]
     blocks = []
     for joint in range(JOINTS):
-        own = [view.law(joint, name, 0.0, 0.0, 0.0) / torque_constant[joint] for name in LAWS]
+        own = [
+            np.concatenate([view.law(joint, name, 0.0, 0.0, 0.0) for view in views]) / torque_constant[joint]
+            for name in LAWS
+        ]
         if inertial is not None:
-            own.append(view.load(joint, 0.0, inertial, upright(), 0.0) / torque_constant[joint])
+            loads = [view.load(joint, 0.0, inertial, upright(), 0.0) for view in views]
+            own.append(np.concatenate(loads) / torque_constant[joint])
         own.append(np.ones(len(own[0])))
         block = np.zeros((len(own[0]), JOINTS, len(own)))
         block[:, joint] = np.column_stack(own)
