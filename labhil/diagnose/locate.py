@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -190,8 +191,7 @@ def times(
 
     Begin and end (s) of each, and, where there are several, the numbers of the recordings in whose time.
     """
-    floors = np.array([channel.noise_floor for channel in after.channels])
-    excess = np.sum((before.errors / floors) ** 2 - (after.errors / floors) ** 2, axis=1)
+    excess = _excess(before, after)
     pieces = [np.flatnonzero(before.window == w) for w in np.unique(before.window)]
     if len(pieces) == 1 or after.metric is Metric.INVERSE_DYNAMICS:
         blocks = max(BLOCKS // len(pieces), 1)
@@ -208,6 +208,24 @@ def times(
         numbers.append(number)
         held += float(sums[i])
     return tuple(spans), tuple(numbers) if len(record.begins) > 1 else ()
+
+
+def _excess(before: Score, after: Score) -> FloatArray:
+    """What a better model takes from the squared errors of each scored sample, in noise floors, (N,)."""
+    floors = np.array([channel.noise_floor for channel in after.channels])
+    return np.asarray(np.sum((before.errors / floors) ** 2 - (after.errors / floors) ** 2, axis=1))
+
+
+def whose(before: Score, after: Score, record: Record) -> str:
+    """A sentence: which of several recordings the excess squared error is in; nothing of one."""
+    excess = _excess(before, after)
+    edges = [*np.searchsorted(before.rows, [begin.row for begin in record.begins]).tolist(), len(excess)]
+    sums = np.array([max(float(excess[a:b].sum()), 0.0) for a, b in pairwise(edges)])
+    if len(sums) == 1 or not np.any(sums):
+        return ""
+    shares = 100.0 * sums / sums.sum()
+    told = [f"{s:.0f} % in recording {b.number}" for s, b in zip(shares, record.begins, strict=True)]
+    return f" Of the excess error {', '.join(told)}."
 
 
 def statement(channel: str, strongest: Term, regimes: Mapping[str, tuple[Regime, ...]]) -> str:

@@ -120,7 +120,8 @@ def location(
         enters=strongest.enters.value,
         times=times,
         regimes=tuple(regime for found in regimes.values() for regime in found),
-        statement=locate.statement(keyed(channel, joint), strongest, regimes),
+        statement=locate.statement(keyed(channel, joint), strongest, regimes)
+        + locate.whose(before, after, held_out),
         recordings=recordings,
     )
 
@@ -140,7 +141,8 @@ def _beyond_location(
         enters=beyond.enters,
         times=times,
         regimes=tuple(replace(regime, unit=beyond.x_unit) for regime in regimes),
-        statement=f"What {keyed(channel, joint)} is off by enters by the {beyond.enters} and follows {name}.",
+        statement=f"What {keyed(channel, joint)} is off by enters by the {beyond.enters} and follows {name}."
+        + locate.whose(before, after, held_out),
         recordings=recordings,
     )
 
