@@ -22,7 +22,7 @@ from labhil.identify.noise import lasting_noise
 from labhil.identify.score import Score, score
 from labhil.identify.statistics import Estimate
 from labhil.identify.table import table_of
-from labhil.identify.windows import noise_of
+from labhil.identify.windows import noise_of, told_apart
 from labhil.physics.model import Model, Record, terms_named
 from labhil.physics.terms import unkeyed
 
@@ -54,6 +54,7 @@ def diagnose(
     there faults of the data are looked for.
     """
     began = time.perf_counter()
+    searched, held_out = told_apart(model, searched), told_apart(model, held_out)
     sigma = noise_of(searched)
     window = SEARCH_WINDOW_IN_HORIZONS * model.horizon
     begin = start_theta(model, reference)

@@ -85,7 +85,7 @@ def heldout_gain(before: Score, after: Score) -> tuple[float, float]:
     Windows are independent, so they are what is counted: a one-sided t test of the gains of windows. Inverse
     dynamics has none but whole recordings, which are cut into blocks.
     """
-    scale = np.array([max(c.noise_floor, c.rmse) for c in after.channels])
+    scale = _scale(after)
     gain = _student(after.errors / scale) - _student(before.errors / scale)
     if after.metric is Metric.INVERSE_DYNAMICS:
         begins = np.flatnonzero(np.r_[True, np.diff(after.window) > 0]).tolist()
@@ -100,6 +100,16 @@ def heldout_gain(before: Score, after: Score) -> tuple[float, float]:
         return total, 1.0
     t = gains.mean() / (gains.std(ddof=1) / np.sqrt(len(gains)) + 1e-300)
     return total, float(stats.t.sf(t, len(gains) - 1))
+
+
+def _scale(after: Score) -> FloatArray:
+    """What errors are measured by: (c,), or (N, c) where recordings differ."""
+    if not after.recordings:
+        return np.array([max(c.noise_floor, c.rmse) for c in after.channels])
+    scale = np.empty_like(after.errors)
+    for own in after.recordings:
+        scale[own.places] = [max(c.noise_floor, c.rmse) for c in own.channels]
+    return scale
 
 
 def _independent_share(errors: FloatArray, begins: Sequence[int]) -> float:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -216,15 +215,14 @@ def _excess(before: Score, after: Score) -> FloatArray:
     return np.asarray(np.sum((before.errors / floors) ** 2 - (after.errors / floors) ** 2, axis=1))
 
 
-def whose(before: Score, after: Score, record: Record) -> str:
+def whose(before: Score, after: Score) -> str:
     """A sentence: which of several recordings the excess squared error is in; nothing of one."""
     excess = _excess(before, after)
-    edges = [*np.searchsorted(before.rows, [begin.row for begin in record.begins]).tolist(), len(excess)]
-    sums = np.array([max(float(excess[a:b].sum()), 0.0) for a, b in pairwise(edges)])
-    if len(sums) == 1 or not np.any(sums):
+    sums = np.array([max(float(excess[own.places].sum()), 0.0) for own in after.recordings])
+    if not np.any(sums):
         return ""
     shares = 100.0 * sums / sums.sum()
-    told = [f"{s:.0f} % in recording {b.number}" for s, b in zip(shares, record.begins, strict=True)]
+    told = [f"{s:.0f} % in recording {r.recording}" for s, r in zip(shares, after.recordings, strict=True)]
     return f" Of the excess error {', '.join(told)}."
 
 

@@ -120,8 +120,7 @@ def location(
         enters=strongest.enters.value,
         times=times,
         regimes=tuple(regime for found in regimes.values() for regime in found),
-        statement=locate.statement(keyed(channel, joint), strongest, regimes)
-        + locate.whose(before, after, held_out),
+        statement=locate.statement(keyed(channel, joint), strongest, regimes) + locate.whose(before, after),
         recordings=recordings,
     )
 
@@ -142,7 +141,7 @@ def _beyond_location(
         times=times,
         regimes=tuple(replace(regime, unit=beyond.x_unit) for regime in regimes),
         statement=f"What {keyed(channel, joint)} is off by enters by the {beyond.enters} and follows {name}."
-        + locate.whose(before, after, held_out),
+        + locate.whose(before, after),
         recordings=recordings,
     )
 

@@ -26,7 +26,7 @@ from labhil.identify.problem import Problem
 from labhil.identify.score import Score, score
 from labhil.identify.shapes import beside_rivals, over_shapes
 from labhil.identify.table import ParameterTable, table_of
-from labhil.identify.windows import fit_windows, noise_of
+from labhil.identify.windows import fit_windows, noise_of, told_apart
 from labhil.physics.model import Metric, Model, Record, terms_named
 from labhil.signals import FloatArray
 
@@ -110,6 +110,8 @@ def fit(
     """
     how = options or Options()
     keys = tuple(term.key for term in terms_named(model, terms))
+    record = told_apart(model, record)
+    test = None if test is None else told_apart(model, test)
     sigma = noise_of(record)
     begin = start_theta(model, start)
     if model.metric is Metric.INVERSE_DYNAMICS:

@@ -8,7 +8,7 @@ import numpy as np
 
 from labhil.identify.least_squares import fit_states, rescue_states
 from labhil.identify.problem import Point, Problem
-from labhil.identify.windows import ScoredWindows, all_of, scored_windows
+from labhil.identify.windows import ScoredWindows, all_of, noise_at, scored_windows
 from labhil.physics.model import Metric, Model, Record
 from labhil.signals import FloatArray, IntArray
 
@@ -65,9 +65,10 @@ class Figures:
 
 @dataclass(frozen=True, slots=True)
 class RecordingScore(Figures):
-    """The same on one of several recordings, by its number."""
+    """The same on one of several recordings, by its number; ``places`` are its among the scored samples."""
 
     recording: int
+    places: slice
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,13 +106,14 @@ def score(
     whole = Problem(model, record, windows.whole, nothing, theta, sigma)
     residuals = whole.residuals(Point(np.empty(0), states))
     c = record.outputs.shape[1]
-    errors = residuals.reshape(-1, c)[windows.scored] * sigma
     rows = windows.whole.rows[windows.scored]
+    noise = noise_at(record, rows, sigma)
+    errors = residuals.reshape(-1, c)[windows.scored] * noise
     carried = _carried(whole, windows, states, residuals)
     owner = windows.whole.owner[windows.scored]
     stated = None if model.metric is Metric.INVERSE_DYNAMICS else windows.horizon
     return Score(
-        _channels(record, errors, rows, sigma, carried),
+        _channels(record, errors, rows, noise, carried),
         errors,
         rows,
         owner,
@@ -119,12 +121,12 @@ def score(
         stated,
         windows,
         states,
-        _by_recording(record, errors, rows, sigma, carried),
+        _by_recording(record, errors, rows, noise, carried),
     )
 
 
 def _by_recording(
-    record: Record, errors: FloatArray, rows: IntArray, sigma: FloatArray, carried: FloatArray
+    record: Record, errors: FloatArray, rows: IntArray, noise: FloatArray, carried: FloatArray
 ) -> tuple[RecordingScore, ...]:
     """Figures of each recording; none where there is only one."""
     if len(record.begins) == 1:
@@ -132,17 +134,24 @@ def _by_recording(
     found = []
     for begin, (first, last) in zip(record.begins, record.spans, strict=True):
         own = slice(*np.searchsorted(rows, [first, last]).tolist())
-        channels = _channels(record, errors[own], rows[own], sigma, carried[own])
-        found.append(RecordingScore(channels, begin.number))
+        here = noise if noise.ndim == 1 else noise[own]
+        channels = _channels(record, errors[own], rows[own], here, carried[own])
+        found.append(RecordingScore(channels, begin.number, own))
     return tuple(found)
 
 
 def _channels(
-    record: Record, errors: FloatArray, rows: IntArray, sigma: FloatArray, carried: FloatArray
+    record: Record, errors: FloatArray, rows: IntArray, noise: FloatArray, carried: FloatArray
 ) -> tuple[ChannelScore, ...]:
-    """How well each output is simulated at these rows (N,); ``carried`` (N, c) as of :func:`_carried`."""
+    """How well each output is simulated at these rows (N,); ``carried`` (N, c) as of :func:`_carried`.
+
+    ``noise`` is (c,), or (N, c) where recordings differ.
+    """
     # the noise floor: the RMSE of a perfect model
-    floor = np.asarray(sigma * np.sqrt(1.0 + carried.mean(axis=0)))
+    if noise.ndim == 1:
+        floor = np.asarray(noise * np.sqrt(1.0 + carried.mean(axis=0)))
+    else:
+        floor = np.asarray(np.sqrt(np.mean(noise**2 * (1.0 + carried), axis=0)))
     return tuple(_channel(record, j, errors[:, j], rows, floor[j]) for j in range(errors.shape[1]))
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from labhil.errors import RecordingError
-from labhil.physics.model import Record, Windows, joined
+from labhil.physics.model import Metric, Model, Record, Windows, joined
 from labhil.signals import FloatArray, IntArray
 
 FEWEST_SAMPLES = 20
@@ -126,6 +126,28 @@ def noise_of(record: Record) -> FloatArray:
         spread = float(np.sqrt(np.mean(np.square(third[np.abs(third) <= 8.0 * _robust(third)])) / 20.0))
         sigmas.append(max(spread, converter_step(column) / np.sqrt(12.0), 1e-12))
     return np.array(sigmas)
+
+
+def told_apart(model: Model, record: Record) -> Record:
+    """Several recordings with what is known of the noise of each, so that a loud one says less; one as it is.
+
+    What a filter leaves of the noise, as of inverse dynamics, is not read from differences.
+    """
+    if len(record.begins) == 1 or model.metric is Metric.INVERSE_DYNAMICS:
+        return record
+    whole = noise_of(record)
+    own = [tuple((noise_of(each) / whole).tolist()) for each in record.recordings()]
+    return replace(
+        record, begins=tuple(replace(b, loudness=x) for b, x in zip(record.begins, own, strict=True))
+    )
+
+
+def noise_at(record: Record, rows: IntArray, sigma: FloatArray) -> FloatArray:
+    """Noise of the channels at some rows of a record, (N, channels), or ``sigma`` itself where it is one."""
+    if not any(begin.loudness for begin in record.begins):
+        return sigma
+    each = np.array([sigma * (begin.loudness or 1.0) for begin in record.begins])
+    return np.asarray(each[np.searchsorted([b.row for b in record.begins], rows, side="right") - 1])
 
 
 def converter_step(x: FloatArray) -> float:

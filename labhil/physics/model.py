@@ -22,11 +22,13 @@ class Begin:
     """Where one of the recordings of a record begins.
 
     Its first sample is ``row``; its ``number`` counts from 1; its own time is the record's less ``shift`` s.
+    ``loudness`` (channels,) is the noise of its outputs over that of the record, where it was looked at.
     """
 
     row: int = 0
     number: int = 1
     shift: float = 0.0
+    loudness: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
