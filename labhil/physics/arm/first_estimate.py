@@ -34,57 +34,58 @@ class FirstEstimate:
 
 
 def first_estimate(
-    links: Links, seen: Sequence[tuple[PreparedRecord, View]], torque_constant: FloatArray
+    links: Links, record: PreparedRecord, motion_view: View, torque_constant: FloatArray
 ) -> FirstEstimate:
     """Least squares of the currents on the rigid body, friction and offsets of each joint.
 
-    ``seen`` are recordings with their views; ``torque_constant`` (6,) N·m/A. Friction that grows with the
-    load joins in once a load is known.
+    ``torque_constant`` (6,) N·m/A. Friction that grows with the load joins in once a load is known.
     """
-    judged = np.concatenate([_judged(record) for record, _ in seen])
-    outputs = np.concatenate([record.outputs for record, _ in seen])
+    motion = record.motion
+    judged = motion.judged[record.places] if motion is not None else np.ones(record.outputs.shape, dtype=bool)
     everything = grouped(links)
-    loads = np.concatenate([view.rigid(upright(), 0.0)[:, :, list(everything.kept)] for _, view in seen])
-    rigid = loads / torque_constant[None, :, None]
-    others = _joint_columns(seen, None, torque_constant)
+    rigid = motion_view.rigid(upright(), 0.0)[:, :, list(everything.kept)] / torque_constant[None, :, None]
+    others = _joint_columns(motion_view, None, torque_constant)
     columns = np.concatenate([rigid, others], axis=2)
     own = len(everything.kept)
     values = np.zeros(own)
     chosen = list(range(own))
     for _ in range(PASSES):
-        equations = NormalEquations.of(columns, outputs, judged)
+        equations = NormalEquations.of(columns, record.outputs, judged)
         found, _ = equations.solved(list(range(columns.shape[2])))
-        inflation = memory((outputs - columns @ found) * judged)
+        inflation = memory((record.outputs - columns @ found) * judged)
         chosen = significant(equations, own, inflation)
         kept = chosen + list(range(own, columns.shape[2]))
         found, covariance = equations.solved(kept)
         values = found[: len(chosen)]
         inertial = everything.only(chosen).embedded(values)
-        columns = np.concatenate([rigid, _joint_columns(seen, inertial, torque_constant)], axis=2)
+        columns = np.concatenate([rigid, _joint_columns(motion_view, inertial, torque_constant)], axis=2)
     errors = np.sqrt(inflation * np.maximum(np.diag(covariance), 0.0))[: len(chosen)]
     return FirstEstimate(everything.only(chosen), values, errors)
 
 
-def _judged(record: PreparedRecord) -> np.ndarray:
-    """Which samples of which joints (n, 6) count."""
-    motion = record.motion
-    return np.ones(record.outputs.shape, dtype=bool) if motion is None else motion.judged[record.places]
+def best_of(links: Links, found: Sequence[FirstEstimate]) -> FirstEstimate:
+    """What several recordings show, each by itself: they may differ in what the arm carries.
+
+    Whatever one of them can tell is among it, as the one that knows it best has it.
+    """
+    known: dict[int, tuple[float, float]] = {}
+    for each in found:
+        for column, value, error in zip(each.grouped.kept, each.values, each.errors, strict=True):
+            if column not in known or error < known[column][1]:
+                known[column] = (float(value), float(error))
+    everything = grouped(links)
+    chosen = [i for i, column in enumerate(everything.kept) if column in known]
+    values, errors = zip(*(known[everything.kept[i]] for i in chosen), strict=True) if chosen else ((), ())
+    return FirstEstimate(everything.only(chosen), np.array(values), np.array(errors))
 
 
-def _joint_columns(
-    seen: Sequence[tuple[PreparedRecord, View]], inertial: FloatArray | None, torque_constant: FloatArray
-) -> FloatArray:
+def _joint_columns(view: View, inertial: FloatArray | None, torque_constant: FloatArray) -> FloatArray:
     """Friction and offset of each joint (n, 6, k): a joint's columns are zero for all others."""
-    views = [view for _, view in seen]
     blocks = []
     for joint in range(JOINTS):
-        own = [
-            np.concatenate([view.law(joint, name, 0.0, 0.0, 0.0) for view in views]) / torque_constant[joint]
-            for name in LAWS
-        ]
+        own = [view.law(joint, name, 0.0, 0.0, 0.0) / torque_constant[joint] for name in LAWS]
         if inertial is not None:
-            loads = [view.load(joint, 0.0, inertial, upright(), 0.0) for view in views]
-            own.append(np.concatenate(loads) / torque_constant[joint])
+            own.append(view.load(joint, 0.0, inertial, upright(), 0.0) / torque_constant[joint])
         own.append(np.ones(len(own[0])))
         block = np.zeros((len(own[0]), JOINTS, len(own)))
         block[:, joint] = np.column_stack(own)

@@ -13,7 +13,7 @@ import numpy as np
 from labhil.errors import UnknownNameError
 from labhil.kinds import JOINTS
 from labhil.physics.arm.catalogue import NEVER_SEEN, Sizes, catalogue
-from labhil.physics.arm.first_estimate import FirstEstimate, first_estimate
+from labhil.physics.arm.first_estimate import FirstEstimate, best_of, first_estimate
 from labhil.physics.arm.grouped import grouped
 from labhil.physics.arm.joint_laws import LAWS, JointMotion, directions
 from labhil.physics.arm.links import PER_LINK, UR5, inertial_of, load_links
@@ -102,8 +102,11 @@ class ArmModel:
         if record is None:
             every = grouped(self.links)
             return FirstEstimate(every, np.zeros(len(every.kept)), np.ones(len(every.kept)))
-        seen = [(ready, self._view(ready)) for ready in map(self.prepare, record.recordings())]
-        return first_estimate(self.links, seen, self._constant)
+        found = [
+            first_estimate(self.links, ready, self._view(ready), self._constant)
+            for ready in map(self.prepare, record.recordings())
+        ]
+        return found[0] if len(found) == 1 else best_of(self.links, found)
 
     def _own(self) -> tuple[Parameter, ...]:
         """Torque constants and grouped inertial parameters, where they are to be estimated."""
