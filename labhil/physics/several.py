@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from labhil.errors import UnknownNameError, UsageError
+from labhil.errors import RecordingError, UnknownNameError, UsageError
 from labhil.physics.extra_force import ExtraForce, Yielding
 from labhil.physics.model import Metric, Model, Record, Windows, joined
 from labhil.physics.terms import Parameter, Term, Yardstick, keyed, unkeyed
@@ -80,8 +80,18 @@ class SeveralModel:
         self._force: ExtraForce | None = None
 
     def of_recording(self, theta: FloatArray, number: int) -> FloatArray:
-        """The inner model's vector for the recording of a number (from 1)."""
-        return theta[self._places[number - 1 if len(self._places) > 1 else 0]]
+        """The inner model's vector for the recording of a number (from 1).
+
+        Raises RecordingError for a number beyond those that the model was made for.
+        """
+        if len(self._places) == 1:
+            return theta[self._places[0]]
+        if not 1 <= number <= self.count:
+            raise RecordingError(
+                f"recording {number}: expected one of {self.count}, each of which has its own "
+                f"{', '.join(self.names)}"
+            )
+        return theta[self._places[number - 1]]
 
     def horizon_at(self, theta: FloatArray) -> float:
         """The longest of the recordings', s."""

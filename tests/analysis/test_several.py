@@ -376,6 +376,19 @@ def test_what_cannot_be_of_one_recording_is_refused(names, known, error, told):
         model_for(rig_of("axis", known), joined([axis(1, n=100), axis(2, n=100)]), names)
 
 
+def test_a_recording_that_a_model_was_not_made_for_is_refused():
+    two, three = (joined([axis(seed, n=100) for seed in range(count)]) for count in (2, 3))
+    for names, simulated in (((), True), (("moving_mass",), False)):
+        model = model_for(rig_of("axis"), two, names)
+        windows = fit_windows(three, 1.0)
+        states = model.initial_states(three, windows)
+        if simulated:
+            assert len(model.simulate(start_theta(model), three, windows, states)) == 300
+        else:
+            with pytest.raises(RecordingError, match="recording 3: expected one of 2"):
+                model.simulate(start_theta(model), three, windows, states)
+
+
 def test_a_value_that_is_said_of_no_recording_is_said_of_all():
     model = model_for(rig_of("axis"), joined([axis(1, n=100), axis(2, n=100)]), ("moving_mass",))
     values = {"moving_mass": 90.0, "moving_mass@2": 80.0, "coulomb_friction.level": 20.0}
