@@ -26,6 +26,22 @@ app = typer.Typer(
 )
 
 
+RecordingsArgument = Annotated[
+    list[Path],
+    typer.Argument(metavar="RECORDING...", help="A recording (.mcap), or several of the same rig."),
+]
+PerRecordingOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAMES",
+        help="What has a value of its own in each recording: terms, parameters or sizes of the rig, a,b,…",
+    ),
+]
+TestOption = Annotated[
+    list[Path] | None, typer.Option(help="A separate recording to judge on; may be repeated.")
+]
+
+
 def main() -> None:
     """Run the command line; ends the process with 0 (done), 1 (the run came to grief) or 2 (wrong use)."""
     try:
@@ -216,7 +232,7 @@ def terms(
 
 @app.command(epilog="Example: labhil fit run.mcap --terms viscous_friction,coulomb_friction --json fit.json")
 def fit(
-    recording: Annotated[Path, typer.Argument(help="A recording (.mcap).")],
+    recordings: RecordingsArgument,
     *,
     rig: Annotated[Path | None, typer.Option(help="Rig file; default: the recording's own.")] = None,
     model: Annotated[Path | None, typer.Option(help="A fit to start from (JSON).")] = None,
@@ -231,13 +247,14 @@ def fit(
     names: Annotated[
         str | None, typer.Option("--terms", help="Terms of the model: a,b,… (default: the general model).")
     ] = None,
-    test: Annotated[Path | None, typer.Option(help="A separate recording to judge on.")] = None,
+    per_recording: PerRecordingOption = None,
+    test: TestOption = None,
     holdout: Annotated[
         float, typer.Option(help="Share held out at the end, 0 for nothing; not used with --test.")
     ] = 0.3,
     span: Annotated[
         tuple[float, float] | None,
-        typer.Option(metavar="FROM TO", help="Use only this stretch of the recording, s."),
+        typer.Option(metavar="FROM TO", help="Use only this stretch of every recording, s."),
     ] = None,
     window: Annotated[
         float | None, typer.Option(help="Length of the fitted windows, s (default: several, compared).")
@@ -257,21 +274,26 @@ def fit(
     html: Annotated[Path | None, typer.Option(help="Write a page about it here (HTML).")] = None,
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
 ) -> None:
-    """Fit a white-box model to a recording, with honest errors, and test it on data it has not seen."""
+    """Fit a white-box model to a recording, with honest errors, and test it on data it has not seen.
+
+    Several recordings of a rig are fitted together: they share all values but those of --per-recording.
+    """
     from labhil.identify.estimators import estimator_named
     from labhil.identify.fit import Options, criterion_named
     from labhil.identify.intervals import interval_method
-    from labhil.report.study import fit_study, load_material
+    from labhil.report.material import load_material
+    from labhil.report.study import fit_study
     from labhil.report.text import show_fit
 
     refuse_unwritable(json_path, plot, html)
     method, small = interval_method(intervals), criterion_named(criterion)
-    material = load_material(recording, rig, test, holdout, span=span, all_of_it=True)
+    apart = split_names(per_recording) or ()
+    material = load_material(recordings, rig, test, holdout, apart, span=span, all_of_it=True)
     tell(material.losses())
     with status() as say:
         options = Options(window, method, simultaneous, estimator_named(estimator), seed, say, small)
         result = fit_study(material, terms=split_names(names), start=model, options=options)
-    show_fit(result.fit, results_console())
+    show_fit(result.fit, results_console(), material.numbered())
     if plot is not None:
         from labhil.report.fit_plot import fit_plot
 
@@ -288,12 +310,13 @@ def fit(
     epilog="Example: labhil diagnose run.mcap --test test.mcap --baseline viscous_friction --plot d.png"
 )
 def diagnose(
-    recording: Annotated[Path, typer.Argument(help="A recording (.mcap).")],
+    recordings: RecordingsArgument,
     *,
     rig: Annotated[Path | None, typer.Option(help="Rig file; default: the recording's own.")] = None,
     model: Annotated[Path | None, typer.Option(help="A fit that stands for your simulation (JSON).")] = None,
     baseline: Annotated[str | None, typer.Option(help="Terms that your simulation has: a,b,…")] = None,
-    test: Annotated[Path | None, typer.Option(help="A separate recording to judge on.")] = None,
+    per_recording: PerRecordingOption = None,
+    test: TestOption = None,
     holdout: Annotated[float, typer.Option(help="Share held out at the end; not used with --test.")] = 0.3,
     plot: Annotated[Path | None, typer.Option(help="Draw it here (PNG).")] = None,
     html: Annotated[Path | None, typer.Option(help="Write a page about it here (HTML).")] = None,
@@ -302,16 +325,20 @@ def diagnose(
         bool, typer.Option("--exit-code", help="End with 1 when there is a mismatch.")
     ] = False,
 ) -> None:
-    """Say where a model and a recording disagree, what physics is missing, and how much it helps."""
-    from labhil.report.study import diagnose_study, load_material
+    """Say where a model and a recording disagree, what physics is missing, and how much it helps.
+
+    Several recordings of a rig are searched together: they share all values but those of --per-recording.
+    """
+    from labhil.report.material import load_material
+    from labhil.report.study import diagnose_study
     from labhil.report.text import show_diagnosis
 
     refuse_unwritable(json_path, plot, html)
-    material = load_material(recording, rig, test, holdout)
+    material = load_material(recordings, rig, test, holdout, split_names(per_recording) or ())
     tell(material.losses())
     with status() as say:
         result = diagnose_study(material, baseline=split_names(baseline), reference=model, progress=say)
-    show_diagnosis(result.diagnosis, results_console())
+    show_diagnosis(result.diagnosis, results_console(), material.numbered())
     if json_path is not None:
         write_json(result.json, json_path)
     if plot is not None:

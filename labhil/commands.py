@@ -93,7 +93,7 @@ def linear(
 ) -> None:
     """Fit linear and black-box baselines, to see what physics is worth: ARX, OE, state space, NARX, …"""
     from labhil.identify.linear import linear_study, study_json, study_text
-    from labhil.report.study import load_material
+    from labhil.report.material import load_material
 
     refuse_unwritable(json_path)
     material = load_material(recording, rig, test, holdout)

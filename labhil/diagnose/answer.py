@@ -51,13 +51,17 @@ class Undecided:
 
 @dataclass(frozen=True, slots=True)
 class Excluded:
-    """A term that is not there: the largest size of its main parameter that could hide in the data."""
+    """A term that is not there: the largest size of its main parameter that could hide in the data.
+
+    ``recording`` is the one that this is said of, where each has a value of its own.
+    """
 
     term: str
     joint: int | None
     largest_hidden: float
     unit: str
     confidence: float
+    recording: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +75,7 @@ class Change:
     unit: str
     ci99: tuple[float, float]
     p_value: float
+    recording: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

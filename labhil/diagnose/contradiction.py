@@ -124,9 +124,14 @@ def _drivers(record: Record, problem: Problem, j: int) -> list[int]:
 
 
 def _past(u: FloatArray, problem: Problem) -> FloatArray:
-    """An input (n,) at all rows of the windows and up to ``LAGS`` samples before, (N, lags)."""
+    """An input (n,) at all rows of the windows and up to ``LAGS`` samples before, (N, lags).
+
+    Before a recording its input is taken for what it began with.
+    """
     rows = problem.windows.rows
-    return np.column_stack([u[np.maximum(rows - k, 0)] for k in range(LAGS)])
+    begins = np.array([begin.row for begin in problem.record.begins])
+    first = begins[np.searchsorted(begins, rows, side="right") - 1]
+    return np.column_stack([u[np.maximum(rows - k, first)] for k in range(LAGS)])
 
 
 def _orthogonal(

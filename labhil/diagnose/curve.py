@@ -87,7 +87,7 @@ def shortened(final: Fitted, share: float) -> Fitted:
 def length_of(fitted: Fitted) -> float:
     """Mean length of a fit's windows, s."""
     record, windows = fitted.problem.record, fitted.problem.windows
-    return float(record.t[-1] - record.t[0]) / len(windows)
+    return record.duration / len(windows)
 
 
 def glance(begun: Fitted, coordinate: Coordinate, along: FloatArray) -> Curved:

@@ -13,8 +13,7 @@ from labhil.diagnose import telling
 from labhil.diagnose.answer import Change, Diagnosis, Undecided
 from labhil.diagnose.contradiction import structure_p_value
 from labhil.diagnose.evidence import bic, effective_samples
-from labhil.diagnose.intake import Fault, usable
-from labhil.diagnose.intake import faults as faults_of
+from labhil.diagnose.intake import Fault, faults_of, usable
 from labhil.diagnose.judge import NEEDED_BIC, Data
 from labhil.diagnose.search import Found, search
 from labhil.diagnose.unmodelled import Unmodelled, unmodelled
@@ -23,9 +22,9 @@ from labhil.identify.noise import lasting_noise
 from labhil.identify.score import Score, score, with_forces
 from labhil.identify.statistics import Estimate
 from labhil.identify.table import table_of
-from labhil.identify.windows import noise_of
+from labhil.identify.windows import noise_of, told_apart
 from labhil.physics.model import Model, Record, terms_named
-from labhil.physics.terms import keyed, unkeyed
+from labhil.physics.terms import unkeyed
 from labhil.signals import FloatArray
 
 SEARCH_WINDOW_IN_HORIZONS = 0.375
@@ -56,6 +55,7 @@ def diagnose(
     there faults of the data are looked for.
     """
     began = time.perf_counter()
+    searched, held_out = told_apart(model, searched), told_apart(model, held_out)
     sigma = noise_of(searched)
     window = SEARCH_WINDOW_IN_HORIZONS * model.horizon
     begin = start_theta(model, reference)
@@ -65,7 +65,7 @@ def diagnose(
     base = _fit_baseline(data, terms)
     data, base = _with_lasting_noise(data, base)
     whole = searched if measured is None else measured
-    faults = faults_of(whole, noise_of(whole))
+    faults = faults_of(whole)
     if not usable(whole, faults).fit:
         reason = "the data are at fault"
         return _unsearched(data, base, "data_fault", reason, faults, heldout_is_test, began)
@@ -182,8 +182,10 @@ def _simpler(free: Found, held: Found) -> Found:
 
 def _excited(record: Record, sigma: np.ndarray) -> bool:
     """Whether outputs move beyond their noise and the input moves at all."""
-    moved = np.std(record.outputs, axis=0) > 5.0 * sigma
-    return bool(moved.all() and np.std(record.inputs[:, 0]) > 0)
+    return any(
+        bool((np.std(each.outputs, axis=0) > 5.0 * sigma).all() and np.std(each.inputs[:, 0]) > 0)
+        for each in record.recordings()
+    )
 
 
 def _verdict(found: Found, changed: tuple[Change, ...], beyond: Unmodelled | None, unexplained: bool) -> str:
@@ -212,13 +214,14 @@ def _changes(final: Sequence[Estimate], reference: Mapping[str, float] | None) -
     """Reference values that the refitted model contradicts at the level of the verdict."""
     if not reference:
         return ()
-    rows = {keyed(row.name, row.joint): row for row in final}
+    rows = {row.key: row for row in final}
     compared = [(rows[name], value) for name, value in reference.items() if name in rows]
     changes = []
     for row, value in compared:
         p_value = float(2.0 * stats.norm.sf(abs(row.value - value) / max(row.std_error, 1e-300)))
         if p_value * len(compared) < FALSE_ALARM:
-            changes.append(Change(row.name, row.joint, value, row.value, row.unit, row.ci99, p_value))
+            change = Change(row.name, row.joint, value, row.value, row.unit, row.ci99, p_value, row.recording)
+            changes.append(change)
     return tuple(changes)
 
 

@@ -10,7 +10,7 @@ from scipy import stats
 
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score
-from labhil.identify.statistics import modelled_variance
+from labhil.identify.statistics import modelled_variance, neighbours
 from labhil.physics.model import Metric
 from labhil.signals import FloatArray, IntArray
 
@@ -35,13 +35,16 @@ class Evidence:
 
 def effective_samples(fitted: Fitted) -> float:
     """How many independent residuals those of a fit are worth."""
-    return independent(_channels(fitted))
+    return independent(_channels(fitted), fitted.problem.begins)
 
 
-def independent(residuals: FloatArray) -> float:
-    """How many independent ones residuals (n, channels) are worth, by an AR(1) of all channels."""
+def independent(residuals: FloatArray, begins: Sequence[int] = (0,)) -> float:
+    """How many independent ones residuals (n, channels) are worth, by an AR(1) of all channels.
+
+    Recordings begin at the rows ``begins``.
+    """
     power = float(np.sum(residuals**2))
-    rho = float(np.sum(residuals[1:] * residuals[:-1])) / power if power > 0 else 0.0
+    rho = float(np.sum(neighbours(residuals, begins))) / power if power > 0 else 0.0
     rho = min(max(rho, 0.0), 0.99)
     return residuals.size * (1.0 - rho) / (1.0 + rho)
 
@@ -84,24 +87,25 @@ def heldout_gain(before: Score, after: Score) -> tuple[float, float]:
 
     Nats count samples as independent as their neighbours let them be.
     """
-    scale = np.array([max(c.noise_floor, c.rmse) for c in after.channels])
+    scale = _scale(after)
     errors_before, errors_after = before.errors / scale, after.errors / scale
+    begins = np.flatnonzero(np.r_[True, np.diff(after.window) > 0]).tolist()
     owner = after.window
     if after.metric is Metric.INVERSE_DYNAMICS:
         owner = np.arange(len(errors_after)) * BLOCKS // len(errors_after)
     gain = float(np.sum(_student(errors_after) - _student(errors_before)))
-    worth = _independent_share(errors_after)
-    return worth * gain, direction_p_value(errors_before, errors_after, owner)
+    worth = _independent_share(errors_after, begins)
+    return worth * gain, direction_p_value(errors_before, errors_after, owner, begins)
 
 
-def direction_p_value(before: FloatArray, after: FloatArray, owner: IntArray) -> float:
+def direction_p_value(before: FloatArray, after: FloatArray, owner: IntArray, begins: Sequence[int]) -> float:
     """One-sided p value that scaled errors (n, channels) fall along the step from one model to another.
 
     The step Δ was chosen on other data. Were the first model right, its errors would be noise, and their
     product with Δ zero on average. The variance of that is taken from what the second model leaves, by an
     autoregression of each channel and by windows (``owner``, (n,)), for slow errors last for a window: the
     larger p value counts. Both factors are clipped, so that a window in which a model loses its way does not
-    decide.
+    decide. ``begins`` are the rows where a window begins.
     """
     step, left = _clipped(before - after), _clipped(after)
     windows = len(np.unique(owner))
@@ -109,7 +113,7 @@ def direction_p_value(before: FloatArray, after: FloatArray, owner: IntArray) ->
         return 1.0
     product = float(np.sum(step * _clipped(before)))
     by_window = np.bincount(owner, np.sum(step * left, axis=1))
-    modelled = float(modelled_variance(step.reshape(-1, 1), left.ravel(), left.shape[1])[0, 0])
+    modelled = float(modelled_variance(step.reshape(-1, 1), left.ravel(), left.shape[1], begins)[0, 0])
     by_samples = stats.norm.sf(product / np.sqrt(modelled + 1e-300))
     by_windows = stats.t.sf(product / np.sqrt(by_window @ by_window + 1e-300), windows - 1)
     return float(max(by_samples, by_windows))
@@ -119,9 +123,19 @@ def _clipped(errors: FloatArray) -> FloatArray:
     return np.clip(errors, -CLIPPED, CLIPPED)
 
 
-def _independent_share(errors: FloatArray) -> float:
+def _scale(after: Score) -> FloatArray:
+    """What errors are measured by: (c,), or (N, c) where recordings differ."""
+    if not after.recordings:
+        return np.array([max(c.noise_floor, c.rmse) for c in after.channels])
+    scale = np.empty_like(after.errors)
+    for own in after.recordings:
+        scale[own.places] = [max(c.noise_floor, c.rmse) for c in own.channels]
+    return scale
+
+
+def _independent_share(errors: FloatArray, begins: Sequence[int]) -> float:
     """Share of the samples of errors (N, c) that are worth an independent one, by each channel's AR(1)."""
-    rho = np.sum(errors[1:] * errors[:-1], axis=0) / np.maximum(np.sum(errors**2, axis=0), 1e-300)
+    rho = np.sum(neighbours(errors, begins), axis=0) / np.maximum(np.sum(errors**2, axis=0), 1e-300)
     rho = float(np.clip(np.max(rho), 0.0, 0.99))
     return (1.0 - rho) / (1.0 + rho)
 

@@ -8,7 +8,7 @@ ball that rests, a plunger at its stop, a command that its limits clip.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -63,7 +63,7 @@ class Fault:
 
     ``times`` are spans (begin, end) in s of the record; ``share`` is the part of the
     samples (of the time, for gaps) that is affected; ``statement`` says what, where, when, how much and
-    what to do about it.
+    what to do about it. Of several recordings ``recording`` is the one, in whose own time ``times`` are.
     """
 
     kind: Kind
@@ -72,6 +72,7 @@ class Fault:
     times: tuple[tuple[float, float], ...]
     share: float
     statement: str
+    recording: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,8 +104,19 @@ class _Channel:
         return self.name if self.joint is None else f"{self.name} of joint {self.joint}"
 
 
+def faults_of(record: Record) -> tuple[Fault, ...]:
+    """All faults of a record that was measured; those of several recordings each by itself."""
+    if len(record.begins) == 1:
+        return faults(record, noise_of(record))
+    return tuple(
+        replace(fault, recording=number, statement=f"Recording {number}: {fault.statement}")
+        for number, each in enumerate(record.recordings(), 1)
+        for fault in faults(each, noise_of(each))
+    )
+
+
 def faults(record: Record, sigma: FloatArray) -> tuple[Fault, ...]:
-    """All faults that a record shows; ``sigma`` (channels,) is the noise of its outputs.
+    """All faults that one recording shows; ``sigma`` (channels,) is the noise of its outputs.
 
     Give the record as it was measured, not ``Model.prepare``d: a filter hides what is looked for here.
     """
@@ -126,9 +138,10 @@ def usable(record: Record, found: Sequence[Fault]) -> Usable:
     ``data_fault``. Other faults are only reported.
     """
     sound = np.ones(len(record), dtype=bool)
-    for fault in found:
-        for begin, end in fault.times if fault.kind not in (Kind.GAP, Kind.NO_EXCITATION) else ():
-            sound &= (record.t < begin) | (record.t > end)
+    for number, (each, span) in enumerate(zip(record.recordings(), record.spans, strict=True), 1):
+        for fault in (f for f in found if f.recording in (None, number)):
+            for begin, end in fault.times if fault.kind not in (Kind.GAP, Kind.NO_EXCITATION) else ():
+                sound[slice(*span)] &= (each.t < begin) | (each.t > end)
     fit = all(fault.share <= TOLERATED.get(fault.kind, 1.0) for fault in found)
     return Usable(fit, sound)
 
@@ -350,4 +363,4 @@ def _percent(share: float) -> str:
     return f"{100 * share:.2g} %"
 
 
-__all__ = ["Fault", "Kind", "Usable", "faults", "usable"]
+__all__ = ["Fault", "Kind", "Usable", "faults", "faults_of", "usable"]

@@ -20,6 +20,9 @@ NEEDED_BIC = -10.0
 JUDGED_LENGTH, JUDGED_WINDOWS = 4.0 / 3.0, 10
 """Judged windows are this much longer than those of the search, or so short that they can be counted."""
 
+MOST_OF_A_RECORDING = 0.5
+"""Share of each of several recordings that a judged window, which has a lead-in too, may have."""
+
 JUDGED_SHARES = (1.0, 0.25)
 """What acts slowly shows on long windows, what acts fast and often on many short ones."""
 
@@ -53,8 +56,9 @@ class Data:
         """Scores on held-out windows: as long as can be counted, short ones, and as long as the metric's."""
         lengths: tuple[float | None, ...] = (None,)
         if self.model.state_names:
-            duration = float(self.test.t[-1] - self.test.t[0])
-            length = min(JUDGED_LENGTH * self.window, duration / JUDGED_WINDOWS)
+            durations = self.test.durations
+            countable = min(sum(durations) / JUDGED_WINDOWS, MOST_OF_A_RECORDING * min(durations))
+            length = min(JUDGED_LENGTH * self.window, countable)
             lengths = (*(share * length for share in JUDGED_SHARES), self.model.horizon)
         return tuple(score(self.model, theta, self.test, self.test_sigma, length) for length in lengths)
 

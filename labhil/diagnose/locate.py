@@ -9,7 +9,7 @@ import numpy as np
 
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score
-from labhil.physics.model import Model
+from labhil.physics.model import Metric, Model, Record
 from labhil.physics.terms import Term
 from labhil.signals import FloatArray
 
@@ -43,7 +43,10 @@ class Regime:
 
 @dataclass(frozen=True, slots=True)
 class Location:
-    """Where the excess error is; ``enters`` says at which place of the chain the missing effect acts."""
+    """Where the excess error is; ``enters`` says at which place of the chain the missing effect acts.
+
+    Of several recordings, ``recordings`` are the numbers of those in whose own time ``times`` (s) are.
+    """
 
     channel: str
     joint: int | None
@@ -51,6 +54,7 @@ class Location:
     times: tuple[tuple[float, float], ...]
     regimes: tuple[Regime, ...]
     statement: str
+    recordings: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,23 +183,47 @@ def _runs(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
 
 
-def times(before: Score, after: Score, t: FloatArray, most: int = 5) -> tuple[tuple[float, float], ...]:
-    """The scored windows that together hold half of the excess squared error, worst first, s."""
-    floors = np.array([channel.noise_floor for channel in after.channels])
-    excess = np.sum((before.errors / floors) ** 2 - (after.errors / floors) ** 2, axis=1)
+def times(
+    before: Score, after: Score, record: Record, most: int = 5
+) -> tuple[tuple[tuple[float, float], ...], tuple[int, ...]]:
+    """The scored windows that together hold half of the excess squared error, worst first.
+
+    Begin and end (s) of each, and, where there are several, the numbers of the recordings in whose time.
+    """
+    excess = _excess(before, after)
     pieces = [np.flatnonzero(before.window == w) for w in np.unique(before.window)]
-    if len(pieces) == 1:
-        pieces = np.array_split(pieces[0], BLOCKS)
+    if len(pieces) == 1 or after.metric is Metric.INVERSE_DYNAMICS:
+        blocks = max(BLOCKS // len(pieces), 1)
+        pieces = [block for piece in pieces for block in np.array_split(piece, blocks)]
     sums = np.array([excess[piece].sum() for piece in pieces])
     order = np.argsort(sums)[::-1]
-    spans, held = [], 0.0
+    spans, numbers, held = [], list[int](), 0.0
     for i in order[:most]:
         if sums[i] <= 0 or held > 0.5 * sums[sums > 0].sum():
             break
         rows = before.rows[pieces[i]]
-        spans.append((float(t[rows[0]]), float(t[rows[-1]])))
+        number, begin = record.own_time(int(rows[0]))
+        spans.append((begin, record.own_time(int(rows[-1]))[1]))
+        numbers.append(number)
         held += float(sums[i])
-    return tuple(spans)
+    return tuple(spans), tuple(numbers) if len(record.begins) > 1 else ()
+
+
+def _excess(before: Score, after: Score) -> FloatArray:
+    """What a better model takes from the squared errors of each scored sample, in noise floors, (N,)."""
+    floors = np.array([channel.noise_floor for channel in after.channels])
+    return np.asarray(np.sum((before.errors / floors) ** 2 - (after.errors / floors) ** 2, axis=1))
+
+
+def whose(before: Score, after: Score) -> str:
+    """A sentence: which of several recordings the excess squared error is in; nothing of one."""
+    excess = _excess(before, after)
+    sums = np.array([max(float(excess[own.places].sum()), 0.0) for own in after.recordings])
+    if not np.any(sums):
+        return ""
+    shares = 100.0 * sums / sums.sum()
+    told = [f"{s:.0f} % in recording {r.recording}" for s, r in zip(shares, after.recordings, strict=True)]
+    return f" Of the excess error {', '.join(told)}."
 
 
 def statement(channel: str, strongest: Term, regimes: Mapping[str, tuple[Regime, ...]]) -> str:

@@ -193,7 +193,7 @@ class Hunt:
         return _prune(data, current, self.base, self.progress)
 
     def _reach(self, share: float) -> float:
-        return min(share * self.data.window, float(self.data.search.t[-1] - self.data.search.t[0]))
+        return min(share * self.data.window, self.data.search.longest)
 
     def _swapped(self, trail: Trail, *, widely: bool) -> bool:
         """Whether a rival took the place of a found term."""

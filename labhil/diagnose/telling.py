@@ -18,7 +18,7 @@ from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score
 from labhil.identify.statistics import Estimate
 from labhil.physics.model import Model, Record, index_of
-from labhil.physics.terms import Parameter, keyed, unkeyed
+from labhil.physics.terms import Parameter, Term, keyed, unkeyed
 from labhil.signals import FloatArray
 
 
@@ -27,7 +27,7 @@ def missing(model: Model, step: Step, found: Found, final: list[Estimate]) -> Mi
     (key,) = step.terms
     term = model.terms[key]
     rows = [row for row in final if (row.term, row.joint) == (term.name, term.joint)]
-    sizes = ", ".join(f"{row.name.partition('.')[2]} = {row.value:.4g} {row.unit}" for row in rows)
+    sizes = ", ".join(f"{_short(row)} = {row.value:.4g} {row.unit}" for row in rows)
     rivals = [r for r in found.rivals if r.instead_of == key]
     at = "" if term.joint is None else f" of joint {term.joint}"
     return Missing(
@@ -39,6 +39,11 @@ def missing(model: Model, step: Step, found: Found, final: list[Estimate]) -> Mi
         parameters=rows,
         evidence=step.evidence,
     )
+
+
+def _short(row: Estimate) -> str:
+    """A parameter's name within its term."""
+    return keyed(row.name.partition(".")[2], None, row.recording)
 
 
 def unnamed(beyond: Unmodelled) -> Missing:
@@ -108,13 +113,15 @@ def location(
     shares = {step.terms[0]: locate.contribution(found.final, step.terms[0]) for step in found.missing}
     regimes = {term: share.regimes() for term, share in shares.items()}
     channel, joint = _channel(before, after)
+    times, recordings = locate.times(before, after, held_out)
     return locate.Location(
         channel=channel,
         joint=joint,
         enters=strongest.enters.value,
-        times=locate.times(before, after, held_out.t),
+        times=times,
         regimes=tuple(regime for found in regimes.values() for regime in found),
-        statement=locate.statement(keyed(channel, joint), strongest, regimes),
+        statement=locate.statement(keyed(channel, joint), strongest, regimes) + locate.whose(before, after),
+        recordings=recordings,
     )
 
 
@@ -126,13 +133,16 @@ def _beyond_location(
     along = problem.model.coordinates(found.final.theta, problem.record, problem.windows, states)[name]
     regimes = locate.regimes({name: along}, np.interp(along, beyond.x, beyond.value) ** 2)
     channel, joint = _channel(before, after)
+    times, recordings = locate.times(before, after, held_out)
     return locate.Location(
         channel=channel,
         joint=joint,
         enters=beyond.enters,
-        times=locate.times(before, after, held_out.t),
+        times=times,
         regimes=tuple(replace(regime, unit=beyond.x_unit) for regime in regimes),
-        statement=f"What {keyed(channel, joint)} is off by enters by the {beyond.enters} and follows {name}.",
+        statement=f"What {keyed(channel, joint)} is off by enters by the {beyond.enters} and follows {name}."
+        + locate.whose(before, after),
+        recordings=recordings,
     )
 
 
@@ -151,10 +161,8 @@ def excluded(data: Data, found: Found) -> tuple[Excluded, ...]:
     basis, _ = np.linalg.qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300))
     noise = found.final.noise
     limits = []
-    for key, term in data.model.terms.items():
-        if key in found.final.terms:
-            continue
-        parameter = next(p for p in term.parameters if not p.shape)
+    absent = [term for key, term in data.model.terms.items() if key not in found.final.terms]
+    for term, parameter in [(each, main) for each in absent for main in _main(each)]:
         column = _slope(found.final, parameter)
         column = problem.project(lin, column[:, None])[:, 0]
         column = column - basis @ (basis.T @ column)
@@ -164,8 +172,16 @@ def excluded(data: Data, found: Found) -> tuple[Excluded, ...]:
         value = -float(column @ solution.residuals) / power
         error = noise / np.sqrt(power)
         largest = (abs(value) + stats.norm.ppf(0.995) * error) * parameter.scale
-        limits.append(Excluded(term.name, term.joint, float(largest), parameter.unit, 0.99))
+        limits.append(
+            Excluded(term.name, term.joint, float(largest), parameter.unit, 0.99, parameter.recording)
+        )
     return tuple(limits)
+
+
+def _main(term: Term) -> list[Parameter]:
+    """A term's main parameter, in every recording that has one of its own."""
+    first = next(p for p in term.parameters if not p.shape)
+    return [p for p in term.parameters if p.name == first.name]
 
 
 def _slope(final: Fitted, parameter: Parameter) -> FloatArray:

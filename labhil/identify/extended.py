@@ -56,7 +56,7 @@ class Coordinate:
             return record.inputs[:, record.input_names.index(self.name)]
         if self.name.removesuffix("_rate") in record.input_names:
             column = record.input_names.index(self.name.removesuffix("_rate"))
-            return np.asarray(np.gradient(record.inputs[:, column], record.t))
+            return np.concatenate([np.gradient(r.inputs[:, column], r.t) for r in record.recordings()])
         return record.t if self.name == "time" else record.auxiliary[self.name]
 
 

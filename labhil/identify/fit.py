@@ -27,7 +27,7 @@ from labhil.identify.problem import Problem
 from labhil.identify.score import Score, score, with_forces
 from labhil.identify.shapes import beside_rivals, over_shapes
 from labhil.identify.table import ParameterTable, table_of
-from labhil.identify.windows import fit_windows, noise_of
+from labhil.identify.windows import fit_windows, noise_of, told_apart
 from labhil.physics.model import Metric, Model, Record, terms_named
 from labhil.physics.rigs import by_inverse_dynamics
 from labhil.signals import FloatArray
@@ -134,6 +134,8 @@ def fit(
     the rig has no such criterion.
     """
     how = options or Options()
+    record = told_apart(model, record)
+    test = None if test is None else told_apart(model, test)
     begin = start_theta(model, start)
     if how.criterion is Metric.WINDOWED_SIMULATION and not model.state_names:
         raise UsageError(f"{model.kind} has no states to simulate; its criterion is {model.metric}")
@@ -162,7 +164,7 @@ def _scored(model: Model, theta: FloatArray, record: Record) -> Score:
 def _ladder(model: Model, record: Record) -> list[float]:
     """Lengths of windows (s), short to long; to the whole record where the plant forgets how it began."""
     lengths = [share * WINDOW_IN_HORIZONS * model.horizon for share in LADDER]
-    whole = float(record.t[-1] - record.t[0])
+    whole = record.longest
     if model.forgets and whole > LONGER * lengths[-1]:
         lengths = [*lengths[1:], float(np.sqrt(lengths[-1] * whole)), whole]
     return lengths
@@ -195,7 +197,7 @@ def _regressed(
     model: Model, record: Record, terms: Sequence[str], begin: FloatArray
 ) -> tuple[list[Fitted], list[float]]:
     """One fit of inverse dynamics on the whole record, channels weighted by their own residuals."""
-    length = float(record.t[-1] - record.t[0])
+    length = record.longest
     sigma = noise_of(record)
     channels = len(sigma)
     fitted = fit_terms(model, record, terms, length, sigma, start=begin)
@@ -274,7 +276,7 @@ def _finish(
     problem = fitted.problem
     parameters = [problem.model.parameters[i] for i in problem.free]
     residuals = fitted.solution.residuals.reshape(-1, len(problem.sigma))
-    inputs = problem.record.inputs[problem.windows.rows, 0]
+    inputs, begins = problem.record.inputs[problem.windows.rows, 0], problem.begins
     values = fitted.theta[problem.free]
     return Fit(
         terms=fitted.terms,
@@ -293,9 +295,9 @@ def _finish(
         simultaneous=how.simultaneous,
         train=scores[0],
         test=scores[1] if len(scores) > 1 else None,
-        ljung_box_p=statistics.of_channels(statistics.whiteness, residuals),
+        ljung_box_p=statistics.of_channels(lambda r, _: statistics.whiteness(r), residuals, begins),
         input_crosscorrelation_p=statistics.of_channels(
-            partial(statistics.input_crosscorrelation, inputs=inputs), residuals
+            lambda r, rows: statistics.input_crosscorrelation(r, inputs[rows]), residuals, begins
         ),
         evaluations=sum(rung.problem.evaluations for rung in rungs),
         converged=fitted.solution.converged,

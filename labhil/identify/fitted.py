@@ -147,7 +147,7 @@ def covariances(fitted: Fitted) -> tuple[FloatArray, FloatArray, FloatArray]:
     unit[unit == 0.0] = 1.0
     scaled = jacobian / unit
     channels = len(problem.sigma)
-    robust = statistics.robust_covariance(scaled, solution.residuals, fitted.dof, channels)
+    robust = statistics.robust_covariance(scaled, solution.residuals, fitted.dof, channels, problem.begins)
     inverse = statistics.inverse_information(scaled)
     lost = np.linalg.norm(jacobian, axis=0) == 0.0
     for matrix in (robust, inverse):

@@ -14,7 +14,8 @@ from labhil.identify.problem import Point, Problem
 from labhil.identify.sensitivities import sensitivities
 from labhil.physics.model import Record, index_of, start_values
 from labhil.physics.rigs import model_for
-from labhil.physics.terms import Parameter
+from labhil.physics.several import names_per_recording
+from labhil.physics.terms import Parameter, keyed
 from labhil.rig import RigFile
 from labhil.signals import FloatArray, Signal
 
@@ -32,7 +33,8 @@ def with_help(found: Identifiability, rig: RigFile, fitted: Fitted) -> Identifia
     for j, place in enumerate(fitted.problem.free):
         parameter = fitted.problem.model.parameters[place]
         if parameter.term is None:
-            options[f"known.{parameter.name}"] = partial(_knowing, fitted, j)
+            option = keyed(f"known.{parameter.name}", None, parameter.recording)
+            options[option] = partial(_knowing, fitted, j)
     return what_would_help(found, options)
 
 
@@ -50,7 +52,7 @@ def _with_channel(rig: RigFile, fitted: Fitted, signal: Signal) -> Identifiabili
     """Identifiability when ``signal`` is recorded too, as the fitted model simulates it."""
     old = fitted.problem
     further = _with_column(old.record, signal)
-    model = model_for(rig, further)
+    model = model_for(rig, further, names_per_recording(old.model))
     theta = _carried(fitted, model.parameters)
     states = fitted.solution.point.states
     simulated = model.simulate(theta, further, old.windows, states)
@@ -74,6 +76,7 @@ def _with_column(record: Record, signal: Signal) -> Record:
         output_names=(*record.output_names, signal.name),
         output_units=(*record.output_units, signal.unit),
         output_joints=(*record.output_joints, None) if record.output_joints else (),
+        begins=tuple(replace(b, loudness=(*b.loudness, 1.0) if b.loudness else ()) for b in record.begins),
     )
 
 

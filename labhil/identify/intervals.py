@@ -7,7 +7,7 @@ where the model bends; the bootstrap draws blocks of residuals, which keeps thei
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 
 import numpy as np
@@ -17,7 +17,7 @@ from labhil.errors import UnknownNameError
 from labhil.identify.least_squares import Solution, least_squares, search_states
 from labhil.identify.problem import Point, Problem
 from labhil.identify.sensitivities import sensitivities
-from labhil.identify.statistics import ALPHA, bandwidth, inverse_information
+from labhil.identify.statistics import ALPHA, bandwidth, inverse_information, runs
 from labhil.signals import FloatArray
 
 DRAWS = 2000
@@ -69,25 +69,36 @@ def simultaneous_quantile(covariance: FloatArray, level: float = 1.0 - ALPHA, se
 
 
 def bootstrap_intervals(
-    jacobian: FloatArray, residuals: FloatArray, values: FloatArray, dof: int, reach: float, seed: int = 0
+    jacobian: FloatArray,
+    residuals: FloatArray,
+    values: FloatArray,
+    dof: int,
+    reach: float,
+    seed: int = 0,
+    begins: Sequence[int] = (0,),
 ) -> list[tuple[float, float]]:
     """Basic intervals from a moving-block bootstrap of the residuals, each refit by one Gauss-Newton step.
 
     ``jacobian`` (N, P) is the projected one in SI units and ``residuals`` (N,) in units of noise; ``reach``
     is the two-sided normal quantile whose probability the intervals get. Blocks are as long as the
-    residuals' correlation asks for (Andrews' bandwidth), and at least 10 samples.
+    residuals' correlation asks for (Andrews' bandwidth), and at least 10 samples. None reaches from one
+    recording into the next; these begin at the rows ``begins``.
     """
     n = len(residuals)
     unit = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
     gain = (inverse_information(jacobian / unit) @ (jacobian / unit).T) / unit[:, None]
-    length = int(np.clip(4 * bandwidth(jacobian * residuals[:, None]), 10, max(n // 4, 1)))
+    spans = [(run.start, run.stop) for run in runs(begins, n)]
+    shortest = min(last - first for first, last in spans)
+    scores = jacobian * residuals[:, None]
+    length = int(np.clip(4 * bandwidth(scores, begins), 10, max(min(n // 4, shortest), 1)))
+    allowed = np.concatenate([np.arange(first, last - length + 1) for first, last in spans])
     centred = (residuals - residuals.mean()) * np.sqrt(n / dof)
     random = np.random.default_rng(seed)
     blocks = -(-n // length)
     within = np.arange(length)
     shifts = np.empty((DRAWS, len(values)))
     for k in range(DRAWS):
-        rows = (random.integers(0, n - length + 1, blocks)[:, None] + within).ravel()[:n]
+        rows = (allowed[random.integers(0, len(allowed), blocks)][:, None] + within).ravel()[:n]
         shifts[k] = gain @ centred[rows]
     tail = float(stats.norm.sf(reach))
     # the basic bootstrap turns the distribution of the errors around

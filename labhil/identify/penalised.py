@@ -35,20 +35,21 @@ FOLDS = 10
 class Projected:
     """Residuals (N,) and slopes (N, P) at a point ``z`` (P,), without what the windows' states explain.
 
-    ``owner`` (N,) is the window of each row.
+    ``owner`` (N,) is the window of each row; recordings begin at the samples ``begins``.
     """
 
     z: FloatArray
     residuals: FloatArray
     slopes: FloatArray
     owner: IntArray
+    begins: tuple[int, ...] = (0,)
 
     @classmethod
     def at(cls, problem: Problem, point: Point, residuals: FloatArray) -> tuple[Projected, Linearised]:
         """Linearise a problem."""
         lin = problem.linearise(point, residuals)
         both = problem.project(lin, np.column_stack([lin.by_parameters, residuals]))
-        return cls(point.z, both[:, -1], both[:, :-1], problem.owner), lin
+        return cls(point.z, both[:, -1], both[:, :-1], problem.owner, problem.begins), lin
 
     def solve(self, penalty: FloatArray, damping: float = 0.0) -> FloatArray:
         """The ``z`` (P,) at which the linearised, penalised cost is least, or ``damping`` short of it."""
@@ -93,7 +94,10 @@ class Projected:
         power = float(self.residuals @ self.residuals) / dof
         scores = (self.slopes * self.residuals[:, None]).reshape(n // channels, channels, -1).sum(axis=1)
         classical = power * inverse
-        found = [long_run_variance(scores), modelled_variance(self.slopes, self.residuals, channels)]
+        found = [
+            long_run_variance(scores, self.begins),
+            modelled_variance(self.slopes, self.residuals, channels, self.begins),
+        ]
         spreads = [inverse @ (s * (n / dof) + power * penalty) @ inverse for s in found] + [classical]
         widest = np.max([np.diag(spread) for spread in spreads], axis=0)
         robust = spreads[0]

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from labhil.identify.windows import noise_at
 from labhil.physics.model import Model, Record, Windows
 from labhil.signals import FloatArray, IntArray
 
@@ -35,11 +36,19 @@ class Linearised:
     by_states: FloatArray
 
 
+def begins_among(record: Record, windows: Windows) -> tuple[int, ...]:
+    """Which of the windows' rows are the first of a recording."""
+    places = np.searchsorted(windows.rows, [begin.row for begin in record.begins])
+    return tuple(sorted({0, *(int(place) for place in places if place < len(windows.rows))}))
+
+
 class Problem:
     """Residuals of simulated windows against a record, in units of the noise.
 
     ``free`` (P,) are the places of the estimated parameters in the model's vector; ``base`` is that
-    vector with everything else in place; ``sigma`` (channels,) the noise that residuals are divided by.
+    vector with everything else in place; ``sigma`` (channels,) the noise that residuals are divided by, and
+    ``noise`` the same at the windows' rows, where recordings differ in it, (N, channels). ``begins`` are the
+    rows of the windows (of samples, not of channels) at which a recording begins.
     """
 
     def __init__(
@@ -65,6 +74,8 @@ class Problem:
         channels = record.outputs.shape[1]
         self.owner = np.repeat(windows.owner, channels)
         self.edges = np.flatnonzero(np.r_[True, np.diff(self.owner) > 0])
+        self.begins = begins_among(record, windows)
+        self.noise = noise_at(record, windows.rows, sigma)
         self.evaluations = 0
         self.guess = model.initial_states(record, windows)
         self._measured = record.outputs[windows.rows]
@@ -101,7 +112,7 @@ class Problem:
         simulated = self.model.simulate(self.theta(point.z), self.record, self.windows, point.states)
         # a plant that runs away is wrong by enough; its square must still be a number
         with np.errstate(over="ignore"):
-            residuals = ((simulated - self._measured) / self.sigma).ravel()
+            residuals = ((simulated - self._measured) / self.noise).ravel()
         return np.clip(np.nan_to_num(residuals, nan=WORST), -WORST, WORST)
 
     def linearise(self, point: Point, residuals: FloatArray, *, central: bool = False) -> Linearised:

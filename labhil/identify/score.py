@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from labhil.errors import RecordingError
 from labhil.identify.least_squares import fit_states, rescue_states
 from labhil.identify.problem import Point, Problem
-from labhil.identify.windows import ScoredWindows, all_of, scored_windows
+from labhil.identify.windows import ScoredWindows, all_of, noise_at, scored_windows
 from labhil.physics.drive_balance import Balanced
 from labhil.physics.model import Metric, Model, Record
 from labhil.signals import FloatArray, IntArray
@@ -35,21 +35,14 @@ class ChannelScore:
 
 
 @dataclass(frozen=True, slots=True)
-class Score:
-    """Errors (N, c), simulated − measured, of all scored samples; ``rows`` (N,) are their places.
+class Figures:
+    """Headline figures of some channels.
 
     ``beside`` are figures by another metric: they are shown, and enter no headline.
     """
 
     channels: tuple[ChannelScore, ...]
-    errors: FloatArray
-    rows: IntArray
-    window: IntArray
-    metric: Metric
-    horizon: float | None
-    windows: ScoredWindows
-    states: FloatArray
-    beside: tuple[ChannelScore, ...] = ()
+    beside: tuple[ChannelScore, ...] = field(default=(), kw_only=True)
 
     @property
     def rows_told(self) -> tuple[ChannelScore, ...]:
@@ -86,6 +79,31 @@ class Score:
         return self.channels[0].noise_floor if len(self.channels) == 1 else 1.0
 
 
+@dataclass(frozen=True, slots=True)
+class RecordingScore(Figures):
+    """The same on one of several recordings, by its number; ``places`` are its among the scored samples."""
+
+    recording: int
+    places: slice
+
+
+@dataclass(frozen=True, slots=True)
+class Score(Figures):
+    """Errors (N, c), simulated − measured, of all scored samples; ``rows`` (N,) are their places.
+
+    ``recordings`` are the figures of each recording, where there are several.
+    """
+
+    errors: FloatArray
+    rows: IntArray
+    window: IntArray
+    metric: Metric
+    horizon: float | None
+    windows: ScoredWindows
+    states: FloatArray
+    recordings: tuple[RecordingScore, ...] = ()
+
+
 def score(
     model: Model, theta: FloatArray, record: Record, sigma: FloatArray, horizon: float | None = None
 ) -> Score:
@@ -104,15 +122,23 @@ def score(
     whole = Problem(model, record, windows.whole, nothing, theta, sigma)
     residuals = whole.residuals(Point(np.empty(0), states))
     c = record.outputs.shape[1]
-    errors = residuals.reshape(-1, c)[windows.scored] * sigma
     rows = windows.whole.rows[windows.scored]
-    floor = _noise_floor(whole, windows, states, residuals, sigma)
-    channels = tuple(
-        _channel(record, j, errors[:, j], record.outputs[rows, j], floor[j], model.metric) for j in range(c)
-    )
+    noise = noise_at(record, rows, sigma)
+    errors = residuals.reshape(-1, c)[windows.scored] * noise
+    carried = _carried(whole, windows, states, residuals)
     owner = windows.whole.owner[windows.scored]
     stated = None if model.metric is Metric.INVERSE_DYNAMICS else windows.horizon
-    return Score(channels, errors, rows, owner, model.metric, stated, windows, states)
+    return Score(
+        _channels(record, errors, rows, noise, carried, model.metric),
+        errors,
+        rows,
+        owner,
+        model.metric,
+        stated,
+        windows,
+        states,
+        _by_recording(record, errors, rows, noise, carried, model.metric),
+    )
 
 
 def with_forces(found: Score, model: Model, theta: FloatArray, record: Record, sigma: FloatArray) -> Score:
@@ -124,23 +150,71 @@ def with_forces(found: Score, model: Model, theta: FloatArray, record: Record, s
     except RecordingError:  # hardly anything moves: there is nothing to show beside
         return found
     errors = forces.needed - forces.exerted
-    floor = float(sigma[0]) * forces.noise
-    row = _row(("drive_force", None, "N"), errors, forces.exerted, floor, Metric.INVERSE_DYNAMICS)
+    spread = float(np.sum((forces.exerted - forces.exerted.mean()) ** 2))
+    name, floor = ("drive_force", None, "N"), float(sigma[0]) * forces.noise
+    row = _row(name, errors, forces.exerted, spread, floor, Metric.INVERSE_DYNAMICS)
     return replace(found, beside=(row,))
 
 
-def _channel(
-    record: Record, j: int, errors: FloatArray, measured: FloatArray, floor: float, metric: Metric
-) -> ChannelScore:
-    return _row((*record.channel(j), record.output_units[j]), errors, measured, floor, metric)
+def _by_recording(
+    record: Record,
+    errors: FloatArray,
+    rows: IntArray,
+    noise: FloatArray,
+    carried: FloatArray,
+    metric: Metric,
+) -> tuple[RecordingScore, ...]:
+    """Figures of each recording; none where there is only one."""
+    if len(record.begins) == 1:
+        return ()
+    found = []
+    for begin, (first, last) in zip(record.begins, record.spans, strict=True):
+        own = slice(*np.searchsorted(rows, [first, last]).tolist())
+        here = noise if noise.ndim == 1 else noise[own]
+        channels = _channels(record, errors[own], rows[own], here, carried[own], metric)
+        found.append(RecordingScore(channels, begin.number, own))
+    return tuple(found)
+
+
+def _channels(
+    record: Record,
+    errors: FloatArray,
+    rows: IntArray,
+    noise: FloatArray,
+    carried: FloatArray,
+    metric: Metric,
+) -> tuple[ChannelScore, ...]:
+    """How well each output is simulated at these rows (N,); ``carried`` (N, c) as of :func:`_carried`.
+
+    ``noise`` is (c,), or (N, c) where recordings differ.
+    """
+    # the noise floor: the RMSE of a perfect model
+    if noise.ndim == 1:
+        floor = np.asarray(noise * np.sqrt(1.0 + carried.mean(axis=0)))
+    else:
+        floor = np.asarray(np.sqrt(np.mean(noise**2 * (1.0 + carried), axis=0)))
+    return tuple(
+        _row(
+            (*record.channel(j), record.output_units[j]), errors[:, j], record.outputs[rows, j],
+            _spread(record, j, rows), floor[j], metric,
+        )
+        for j in range(errors.shape[1])
+    )  # fmt: skip
 
 
 def _row(
-    name: tuple[str, int | None, str], errors: FloatArray, measured: FloatArray, floor: float, metric: Metric
+    name: tuple[str, int | None, str],
+    errors: FloatArray,
+    measured: FloatArray,
+    sst: float,
+    floor: float,
+    metric: Metric,
 ) -> ChannelScore:
-    """The figures of errors (N,) beside what was measured (N,); ``name`` is channel, joint and unit."""
+    """The figures of errors (N,) beside what was measured (N,); ``name`` is channel, joint and unit.
+
+    ``sst`` is the sum of squares about the mean of what was measured.
+    """
     sse = float(errors @ errors)
-    sst = float(np.sum((measured - measured.mean()) ** 2))
     rmse, size = float(np.sqrt(sse / len(errors))), float(np.sqrt(np.mean(measured**2)))
     channel, joint, unit = name
     return ChannelScore(
@@ -157,16 +231,26 @@ def _row(
     )
 
 
-def _noise_floor(
-    whole: Problem, windows: ScoredWindows, states: FloatArray, residuals: FloatArray, sigma: FloatArray
-) -> FloatArray:
-    """RMSE of a perfect model: σ·√(1 + mean of a·(AᵀA)⁻¹·aᵀ), A over the lead-in, a over the scored part."""
-    c = len(sigma)
+def _spread(record: Record, j: int, rows: IntArray) -> float:
+    """Sum of squares of an output about its mean in each recording: one does not explain where another is."""
+    total = 0.0
+    for first, last in record.spans:
+        measured = record.outputs[rows[slice(*np.searchsorted(rows, [first, last]).tolist())], j]
+        if len(measured):
+            total += float(np.sum((measured - measured.mean()) ** 2))
+    return total
+
+
+def _carried(whole: Problem, windows: ScoredWindows, states: FloatArray, residuals: FloatArray) -> FloatArray:
+    """What the initial state's error adds to the variance of each scored sample (N, c), over the noise's.
+
+    a·(AᵀA)⁻¹·aᵀ, A over the lead-in, a over the scored part; the noise floor is σ·√(1 + its mean).
+    """
+    c = len(whole.sigma)
     lin = whole.linearise(Point(np.empty(0), states), residuals)
     lead_rows = np.repeat(~windows.scored, c)[:, None]
     gram = whole.state_gram(lin.by_states * lead_rows)
     spread = np.linalg.inv(gram)[whole.owner]
     carried = np.einsum("ns,nst,nt->n", lin.by_states, spread, lin.by_states)
     # a state that its lead-in cannot see (a ball that rests there) stays where it was put
-    carried = np.minimum(carried, 100.0).reshape(-1, c)[windows.scored]
-    return np.asarray(sigma * np.sqrt(1.0 + carried.mean(axis=0)))
+    return np.asarray(np.minimum(carried, 100.0).reshape(-1, c)[windows.scored])

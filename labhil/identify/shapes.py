@@ -93,8 +93,12 @@ def _scanned(fitted: Fitted, j: int, values: FloatArray) -> Iterator[Fitted]:
 def _without_amplitude(problem: Problem, z: FloatArray, j: int) -> FloatArray:
     """Scaled parameters with the rest of the term of ``j`` at neutral: a level depends on its width."""
     parameters = [problem.model.parameters[i] for i in problem.free]
-    term = parameters[j].term
-    others = [i for i, p in enumerate(parameters) if term is not None and p.term == term and not p.shape]
+    term, own = parameters[j].term, parameters[j].recording
+    others = [
+        i
+        for i, p in enumerate(parameters)
+        if term is not None and p.term == term and not p.shape and (own is None or p.recording in (None, own))
+    ]
     begin = z.copy()
     begin[others] = [parameters[i].neutral / problem.scale[i] for i in others]
     return begin

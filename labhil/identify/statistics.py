@@ -15,12 +15,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy import stats
 from scipy.linalg import solve_toeplitz
 
-from labhil.physics.terms import Parameter
+from labhil.physics.terms import Parameter, keyed
 from labhil.signals import FloatArray
 
 ALPHA = 0.01
@@ -52,21 +53,40 @@ class Estimate:
     significant: bool
     identifiable: bool
     at_bound: bool
+    recording: int | None = None
+
+    @property
+    def key(self) -> str:
+        """Its name, unique among the parameters of a model."""
+        return keyed(self.name, self.joint, self.recording)
 
 
-def robust_covariance(jacobian: FloatArray, residuals: FloatArray, dof: int, channels: int = 1) -> FloatArray:
+def runs(begins: Sequence[int], n: int) -> list[slice]:
+    """Rows of each recording among ``n`` samples, which ``begins`` says where they begin."""
+    edges = [*begins, n]
+    return [slice(a, b) for a, b in pairwise(edges)]
+
+
+def robust_covariance(
+    jacobian: FloatArray,
+    residuals: FloatArray,
+    dof: int,
+    channels: int = 1,
+    begins: Sequence[int] = (0,),
+) -> FloatArray:
     """Covariance (P, P) of least-squares estimates whose residuals (N,) may be correlated in time.
 
     ``jacobian`` (N, P) is the projected one; ``dof`` the residual degrees of freedom. Rows are those of the
-    ``channels`` of one sample after the other.
+    ``channels`` of one sample after the other; recordings begin at the samples ``begins``, and nothing in
+    one is correlated with anything in another.
     """
     n = len(residuals)
     inverse = inverse_information(jacobian)
     classical = inverse * float(residuals @ residuals) / dof
     # what counts in time are samples: their channels are added up
     scores = (jacobian * residuals[:, None]).reshape(n // channels, channels, -1).sum(axis=1)
-    robust = inverse @ long_run_variance(scores) @ inverse * (n / dof)
-    modelled = inverse @ modelled_variance(jacobian, residuals, channels) @ inverse * (n / dof)
+    robust = inverse @ long_run_variance(scores, begins) @ inverse * (n / dof)
+    modelled = inverse @ modelled_variance(jacobian, residuals, channels, begins) @ inverse * (n / dof)
     robust = _at_least(modelled, robust)
     least, found = np.diag(classical), np.diag(robust)
     lost = ~(found > 1e-12 * least)
@@ -95,18 +115,31 @@ def inverse_information(jacobian: FloatArray) -> FloatArray:
     return np.asarray((rows.T / singular**2) @ rows)
 
 
-def long_run_variance(scores: FloatArray) -> FloatArray:
+def lagged(rows: FloatArray, lag: int, begins: Sequence[int] = (0,)) -> FloatArray:
+    """Σ_t row_t·row_{t−lag}ᵀ of rows (n, P), both from the same recording, (P, P)."""
+    parts = [rows[run] for run in runs(begins, len(rows))]
+    return np.asarray(sum(part[lag:].T @ part[: len(part) - lag] for part in parts if len(part) > lag))
+
+
+def neighbours(rows: FloatArray, begins: Sequence[int] = (0,)) -> FloatArray:
+    """Each of some rows (n, …) times the one before it in the same recording, (n − recordings, …)."""
+    return np.concatenate([rows[run][1:] * rows[run][:-1] for run in runs(begins, len(rows))])
+
+
+def long_run_variance(scores: FloatArray, begins: Sequence[int] = (0,)) -> FloatArray:
     """n times the long-run covariance of the mean of rows (n, P), Bartlett kernel."""
     total = scores.T @ scores
-    reach = bandwidth(scores)
+    reach = bandwidth(scores, begins)
     for lag in range(1, reach + 1):
         weight = 1.0 - lag / (reach + 1)
-        cross = scores[lag:].T @ scores[:-lag]
+        cross = lagged(scores, lag, begins)
         total = total + weight * (cross + cross.T)
     return np.asarray(total)
 
 
-def modelled_variance(jacobian: FloatArray, residuals: FloatArray, channels: int) -> FloatArray:
+def modelled_variance(
+    jacobian: FloatArray, residuals: FloatArray, channels: int, begins: Sequence[int] = (0,)
+) -> FloatArray:
     """Covariance (P, P) of JᵀR where each channel's residuals are an autoregression of themselves.
 
     Its order, up to 10, is that of the least AIC; channels are taken as independent.
@@ -114,22 +147,22 @@ def modelled_variance(jacobian: FloatArray, residuals: FloatArray, channels: int
     total = np.zeros((jacobian.shape[1], jacobian.shape[1]))
     for channel in range(channels):
         own, columns = residuals[channel::channels], jacobian[channel::channels]
-        covariance = autocovariance(own)
+        covariance = autocovariance(own, begins)
         total += covariance[0] * columns.T @ columns
         for lag in range(1, len(covariance)):
-            cross = columns[lag:].T @ columns[:-lag]
+            cross = lagged(columns, lag, begins)
             total += covariance[lag] * (cross + cross.T)
     return total
 
 
-def autocovariance(residuals: FloatArray) -> FloatArray:
+def autocovariance(residuals: FloatArray, begins: Sequence[int] = (0,)) -> FloatArray:
     """Autocovariances (lags + 1,) of an autoregression fitted to residuals (n,), as far as they matter."""
     n = len(residuals)
     orders = min(MOST_ORDERS, n // 10)
     power = float(residuals @ residuals) / n
     if power <= 0.0 or orders < 1:
         return np.array([power])
-    measured = np.array([residuals[: n - lag] @ residuals[lag:] for lag in range(orders + 1)]) / n
+    measured = np.array([float(lagged(residuals, lag, begins)) for lag in range(orders + 1)]) / n
     best, weights, score = 0, np.empty(0), n * np.log(power)
     for order in range(1, orders + 1):
         tried = solve_toeplitz(measured[:order], measured[1 : order + 1])
@@ -142,14 +175,14 @@ def autocovariance(residuals: FloatArray) -> FloatArray:
     return np.array(found)
 
 
-def bandwidth(scores: FloatArray) -> int:
+def bandwidth(scores: FloatArray, begins: Sequence[int] = (0,)) -> int:
     """Andrews' automatic bandwidth for Bartlett's kernel, from an AR(1) of each column."""
     n = len(scores)
     if n < 8:
         return 0
     scores = scores[:, np.any(scores, axis=0)]
     power = np.mean(scores**2, axis=0)
-    rho = np.mean(scores[1:] * scores[:-1], axis=0) / np.maximum(power, 1e-300)
+    rho = np.mean(neighbours(scores, begins), axis=0) / np.maximum(power, 1e-300)
     rho = np.clip(rho, -0.97, 0.97)
     # columns are weighted to have the same power, so only their correlations count
     share = (1.0 - rho**2) ** 2
@@ -197,14 +230,21 @@ def estimates(
                 significant=p_value < ALPHA and identifiable and not at_bound,
                 identifiable=identifiable,
                 at_bound=at_bound,
+                recording=parameter.recording,
             )
         )
     return rows
 
 
-def of_channels(test: Callable[[FloatArray], float], residuals: FloatArray) -> float:
-    """p value of a test of each channel of residuals (n, channels): the least times their number."""
-    return min(1.0, residuals.shape[1] * min(test(column) for column in residuals.T))
+def of_channels(
+    test: Callable[[FloatArray, slice], float], residuals: FloatArray, begins: Sequence[int] = (0,)
+) -> float:
+    """p value of a test of each channel of residuals (n, channels) in each recording: the least times all.
+
+    The test is given a channel's residuals in one recording, and which rows these are.
+    """
+    found = [test(column[run], run) for column in residuals.T for run in runs(begins, len(residuals))]
+    return min(1.0, len(found) * min(found))
 
 
 def whiteness(residuals: FloatArray, lags: int = 20) -> float:

@@ -64,7 +64,10 @@ def _intervals(
     inflation[seen] = np.diag(robust)[seen] / np.maximum(np.diag(classical)[seen], 1e-300)
     ends = [(float(v - reach * e), float(v + reach * e)) for v, e in zip(values, errors, strict=True)]
     if method is Intervals.BOOTSTRAP:
-        ends = bootstrap_intervals(jacobian, solution.residuals, values, fitted.dof, reach)
+        begins = [row * len(problem.sigma) for row in problem.begins]
+        ends = bootstrap_intervals(
+            jacobian, solution.residuals, values, fitted.dof, reach, begins=tuple(begins)
+        )
     elif method is not Intervals.WALD:
         followed = np.isfinite(errors) & (_bent(fitted, errors) if method is Intervals.AUTO else True)
         ends = [

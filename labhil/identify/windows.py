@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from labhil.errors import RecordingError
-from labhil.physics.model import Record, Windows
-from labhil.signals import FloatArray
+from labhil.physics.model import Metric, Model, Record, Windows, joined
+from labhil.signals import FloatArray, IntArray
 
 FEWEST_SAMPLES = 20
 """In a record, and in the lead-in of a scored window."""
@@ -23,20 +24,29 @@ STRAY = 0.02
 
 
 def fit_windows(record: Record, length: float) -> Windows:
-    """Cut a record into equal windows of about ``length`` s, end to end.
+    """Cut each recording of a record into equal windows of about ``length`` s, end to end.
 
-    Raises RecordingError when the record is too short for one window of 20 samples.
+    Raises RecordingError when a recording is too short for one window of 20 samples.
     """
-    n = len(record)
-    if n < FEWEST_SAMPLES:
-        raise RecordingError(f"too short: {n} samples, at least {FEWEST_SAMPLES} are needed")
-    duration = record.t[-1] - record.t[0]
-    count = max(1, round(duration / length))
-    count = min(count, n // FEWEST_IN_WINDOW)
-    edges = np.searchsorted(record.t, record.t[0] + duration * np.arange(count + 1) / count)
-    edges[-1] = n
-    spans = [(int(a), int(b)) for a, b in pairwise(edges) if b - a > 1]
+    spans = []
+    for before, each, called in _each(record):
+        n = len(each)
+        if n < FEWEST_SAMPLES:
+            raise RecordingError(f"{called}too short: {n} samples, at least {FEWEST_SAMPLES} are needed")
+        duration = each.t[-1] - each.t[0]
+        count = max(1, round(duration / length))
+        count = min(count, n // FEWEST_IN_WINDOW)
+        edges = np.searchsorted(each.t, each.t[0] + duration * np.arange(count + 1) / count)
+        edges[-1] = n
+        spans += [(before + int(a), before + int(b)) for a, b in pairwise(edges) if b - a > 1]
     return Windows.of(spans)
+
+
+def _each(record: Record) -> Iterator[tuple[int, Record, str]]:
+    """Each recording with the number of samples before it, and how a message about it begins."""
+    several = len(record.begins) > 1
+    for begin, each in zip(record.begins, record.recordings(), strict=True):
+        yield begin.row, each, f"recording {begin.number}: " if several else ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,36 +64,48 @@ class ScoredWindows:
 
 
 def scored_windows(record: Record, horizon: float) -> ScoredWindows:
-    """Tile a record with scored stretches of ``horizon`` s, each after a lead-in of half of that.
+    """Tile each recording with scored stretches of ``horizon`` s, each after a lead-in of half of that.
 
     The lead-in has at least 20 samples, or as many as there are. The last stretch may be shorter,
-    down to half a horizon. Raises RecordingError when not even one fits.
+    down to half a horizon. Raises RecordingError when not even one fits into a recording.
     """
+    tiles = [before + _tiles(each, horizon, called) for before, each, called in _each(record)]
+    first, middle, last = np.concatenate(tiles, axis=1)
+    lead_windows = Windows.of(list(zip(first.tolist(), middle.tolist(), strict=True)))
+    whole = Windows.of(list(zip(first.tolist(), last.tolist(), strict=True)))
+    return ScoredWindows(lead_windows, whole, whole.rows >= middle[whole.owner], horizon)
+
+
+def _tiles(record: Record, horizon: float, called: str) -> IntArray:
+    """First sample, first scored one and the one after the last of each window of one recording, (3, w)."""
     n = len(record)
     lead = max(0.5 * horizon, FEWEST_SAMPLES * record.period)
     starts = np.arange(record.t[0] + lead, record.t[-1] - 0.5 * horizon, horizon)
     if not len(starts):
         have = record.t[-1] - record.t[0] if n else 0.0
         raise RecordingError(
-            f"too short to score: {have:.3g} s, one window needs {lead + 0.5 * horizon:.3g} s "
+            f"{called}too short to score: {have:.3g} s, one window needs {lead + 0.5 * horizon:.3g} s "
             f"(lead-in {lead:.3g} s and half a horizon); a shorter [metric] horizon may do"
         )
     edges = np.searchsorted(record.t, np.append(starts, starts[-1] + horizon))
     middle, last = edges[:-1], edges[1:]
     first = np.maximum(np.minimum(np.searchsorted(record.t, starts - lead), middle - FEWEST_SAMPLES), 0)
-    lead_windows = Windows.of(list(zip(first.tolist(), middle.tolist(), strict=True)))
-    whole = Windows.of(list(zip(first.tolist(), last.tolist(), strict=True)))
-    return ScoredWindows(lead_windows, whole, whole.rows >= middle[whole.owner], horizon)
+    return np.array([first, middle, last])
 
 
 def all_of(record: Record) -> ScoredWindows:
-    """The whole record as one scored stretch without a lead-in: for inverse dynamics, which has no state."""
-    whole = Windows.of([(0, len(record))])
-    return ScoredWindows(whole, whole, np.ones(len(record), dtype=bool), float(record.t[-1] - record.t[0]))
+    """Each whole recording as one scored stretch without a lead-in: for inverse dynamics, without a state."""
+    whole = Windows.of(record.spans)
+    return ScoredWindows(whole, whole, np.ones(len(record), dtype=bool), record.longest)
 
 
 def split(record: Record, share: float, gap: float) -> tuple[Record, Record]:
-    """Hold out the last ``share`` of a record, contiguous, after a gap of ``gap`` s."""
+    """Hold out the last ``share`` of each recording, contiguous, after a gap of ``gap`` s."""
+    parts = [_split(each, share, gap) for each in record.recordings()]
+    return joined([learn for learn, _ in parts]), joined([held_out for _, held_out in parts])
+
+
+def _split(record: Record, share: float, gap: float) -> tuple[Record, Record]:
     start = record.t[-1] - share * (record.t[-1] - record.t[0])
     cut = int(np.searchsorted(record.t, start - gap))
     return record.part(0, cut), record.part(int(np.searchsorted(record.t, start)), len(record))
@@ -98,11 +120,34 @@ def noise_of(record: Record) -> FloatArray:
     answers noise with motion within four samples makes it look a little (under 15 %) too small.
     """
     sigmas = []
+    spans = record.spans
     for column in record.outputs.T:
-        third = np.diff(column, n=3)
+        third = np.concatenate([np.diff(column[first:last], n=3) for first, last in spans])
         spread = float(np.sqrt(np.mean(np.square(third[np.abs(third) <= 8.0 * _robust(third)])) / 20.0))
         sigmas.append(max(spread, converter_step(column) / np.sqrt(12.0), 1e-12))
     return np.array(sigmas)
+
+
+def told_apart(model: Model, record: Record) -> Record:
+    """Several recordings with what is known of the noise of each, so that a loud one says less; one as it is.
+
+    What a filter leaves of the noise, as of inverse dynamics, is not read from differences.
+    """
+    if len(record.begins) == 1 or model.metric is Metric.INVERSE_DYNAMICS:
+        return record
+    whole = noise_of(record)
+    own = [tuple((noise_of(each) / whole).tolist()) for each in record.recordings()]
+    return replace(
+        record, begins=tuple(replace(b, loudness=x) for b, x in zip(record.begins, own, strict=True))
+    )
+
+
+def noise_at(record: Record, rows: IntArray, sigma: FloatArray) -> FloatArray:
+    """Noise of the channels at some rows of a record, (N, channels), or ``sigma`` itself where it is one."""
+    if not any(begin.loudness for begin in record.begins):
+        return sigma
+    each = np.array([sigma * (begin.loudness or 1.0) for begin in record.begins])
+    return np.asarray(each[np.searchsorted([b.row for b in record.begins], rows, side="right") - 1])
 
 
 def converter_step(x: FloatArray) -> float:

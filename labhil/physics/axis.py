@@ -7,9 +7,10 @@ with a voltage and without [known] drive_gain the mass must be known, or only ra
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from labhil.physics import sliding
 from labhil.physics.drive_balance import CUT_OFF, Balance, DriveMotion
@@ -42,16 +43,15 @@ class Sizes:
         self.force, self.speed, self.span, self.mass, self.time_constant = 100.0, 0.1, 0.2, 100.0, 0.5
         if record is None:
             return
-        u, x, t = gain * record.inputs[:, 0], record.outputs[:, 0], record.t
-        self.force = float(np.sqrt(np.mean(u**2))) or 1.0
-        self.span = float(np.ptp(x)) or 1.0
-        stride = max(1, int(0.05 / record.period))
-        slow = x[::stride]
-        self.speed = float(np.sqrt(np.mean((np.diff(slow) / np.diff(t[::stride])) ** 2))) or 1.0
-        once, twice = _integral(t, u), _integral(t, _integral(t, u))
-        side = _integral(t, _integral(t, np.sign(np.gradient(_smooth(x, stride), t))))
-        design = np.column_stack([twice, _integral(t, x - x[0]), side, t, t**2, np.ones(len(t))])
+        recordings = record.recordings()
+        self.force = float(np.sqrt(np.mean((gain * record.inputs[:, 0]) ** 2))) or 1.0
+        self.span = max(float(np.ptp(each.outputs[:, 0])) for each in recordings) or 1.0
+        speeds = np.concatenate([_speeds(each) for each in recordings])
+        self.speed = float(np.sqrt(np.mean(speeds**2))) or 1.0
+        design = _of_all([_motion(each, gain) for each in recordings])
+        x = record.outputs[:, 0]
         by_force, by_drag, *_ = np.linalg.lstsq(design / _norms(design), x, rcond=None)[0] / _norms(design)
+        once = np.concatenate([_integral(each.t, gain * each.inputs[:, 0]) for each in recordings])
         self.mass = 1.0 / by_force if by_force > 0 else self.force / max(float(np.std(once)), 1e-12)
         self.time_constant = float(np.clip(-1.0 / by_drag, 0.01, 10.0)) if by_drag < 0 else 0.5
 
@@ -59,6 +59,30 @@ class Sizes:
     def drag(self) -> float:
         """Viscous friction that has the time constant, N·s/m."""
         return self.mass / self.time_constant
+
+
+def _stride(record: Record) -> int:
+    return max(1, int(0.05 / record.period))
+
+
+def _speeds(record: Record) -> FloatArray:
+    """Velocities (m,) over stretches long enough for noise not to matter."""
+    stride = _stride(record)
+    return np.asarray(np.diff(record.outputs[::stride, 0]) / np.diff(record.t[::stride]))
+
+
+def _motion(record: Record, gain: float) -> tuple[FloatArray, FloatArray]:
+    """What the position of a recording is a sum of: by mass and friction (n, 3), by how it began (n, 3)."""
+    u, x, t = gain * record.inputs[:, 0], record.outputs[:, 0], record.t
+    twice = _integral(t, _integral(t, u))
+    side = _integral(t, _integral(t, np.sign(np.gradient(_smooth(x, _stride(record)), t))))
+    shared = np.column_stack([twice, _integral(t, x - x[0]), side])
+    return shared, np.column_stack([t, t**2, np.ones(len(t))])
+
+
+def _of_all(found: Sequence[tuple[FloatArray, FloatArray]]) -> FloatArray:
+    """The regression of all recordings: each begins in a way of its own."""
+    return np.hstack([np.vstack([shared for shared, _ in found]), block_diag(*(own for _, own in found))])
 
 
 def _integral(t: FloatArray, x: FloatArray) -> FloatArray:

@@ -54,7 +54,8 @@ class Sizes:
             self.constant = self.voltage / self.speed
         self.inductance = self.inertia = 0.0
         if record is not None and "speed" in seen:
-            blocks = Blocks(record.t, record.inputs[:, 0], seen["speed"])
+            begins = [begin.row for begin in record.begins]
+            blocks = Blocks(record.t, record.inputs[:, 0], seen["speed"], begins)
             self._first_order(blocks)
             if "current" in seen:
                 self._both_balances(blocks, seen["current"])
@@ -95,15 +96,20 @@ class Sizes:
 
 
 class Blocks:
-    """Integrals of held voltage, speed and its sign over short blocks in which the shaft turns."""
+    """Integrals of held voltage, speed and its sign over short blocks in which the shaft turns.
 
-    def __init__(self, t: FloatArray, u: FloatArray, w: FloatArray) -> None:
+    None reaches from one recording into the next; these begin at the samples ``begins``.
+    """
+
+    def __init__(self, t: FloatArray, u: FloatArray, w: FloatArray, begins: Sequence[int] = (0,)) -> None:
         self.w, self._u = w, u
         self._edges = np.arange(0, len(t), max(4, len(t) // 200))
         self._h = np.diff(t)
         self._period = float(np.median(self._h))
         slow = 0.05 * float(np.abs(w).max())
         self._moving = np.minimum.reduceat(np.abs(w), self._edges)[:-1] > slow
+        crossed = np.searchsorted(self._edges, begins[1:]) - 1
+        self._moving[crossed[crossed < len(self._moving)]] = False
         self.volts = self._over(self._h * u[:-1])
         self.turned, self.rubbed = self.integral(w), self.integral(np.sign(w))
 

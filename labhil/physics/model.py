@@ -9,19 +9,36 @@ from typing import Protocol
 
 import numpy as np
 
-from labhil.errors import UnknownNameError
+from labhil.errors import RecordingError, UnknownNameError
 from labhil.physics.terms import Parameter, Term, Yardstick
 from labhil.signals import FloatArray, Hold, IntArray
+
+BORDER = 20.0
+"""Usual steps of time between two recordings that stand in one record."""
+
+
+@dataclass(frozen=True, slots=True)
+class Begin:
+    """Where one of the recordings of a record begins.
+
+    Its first sample is ``row``; its ``number`` counts from 1; its own time is the record's less ``shift`` s.
+    ``loudness`` (channels,) is the noise of its outputs over that of the record, where it was looked at.
+    """
+
+    row: int = 0
+    number: int = 1
+    shift: float = 0.0
+    loudness: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """One recording as a model sees it.
+    """One recording as a model sees it, or several, one after another (see :func:`joined`).
 
     ``t`` (n,) s, increasing; ``inputs`` (n, inputs) and ``outputs`` (n, channels) in SI units;
     ``input_holds`` (inputs,) what each input does between samples; ``auxiliary`` holds other channels of
     the rig, each (n,), by column name; ``output_joints`` (channels,) the joint of each output, where it
-    has one.
+    has one. ``begins`` tells where each recording begins: nothing may be followed from one to the next.
     """
 
     t: FloatArray
@@ -33,9 +50,46 @@ class Record:
     input_holds: tuple[Hold, ...] = (Hold.LINEAR,)
     auxiliary: Mapping[str, FloatArray] = field(default_factory=dict)
     output_joints: tuple[int | None, ...] = ()
+    begins: tuple[Begin, ...] = (Begin(),)
 
     def __len__(self) -> int:
         return len(self.t)
+
+    @property
+    def spans(self) -> list[tuple[int, int]]:
+        """First sample, and the one after the last, of each recording."""
+        rows = [begin.row for begin in self.begins]
+        return list(zip(rows, [*rows[1:], len(self)], strict=True))
+
+    def recordings(self) -> tuple[Record, ...]:
+        """Each recording by itself, with its number and its own time; of one the record itself."""
+        if len(self.begins) == 1 and not self.begins[0].shift:
+            return (self,)
+        return tuple(
+            replace(part, t=part.t - begin.shift, begins=(replace(begin, row=0, shift=0.0),))
+            for begin, (first, last) in zip(self.begins, self.spans, strict=True)
+            for part in [self.part(first, last)]
+        )
+
+    def own_time(self, row: int) -> tuple[int, float]:
+        """Number of the recording that a sample belongs to, and its time there, s."""
+        begin = next(b for b in reversed(self.begins) if b.row <= row)
+        return begin.number, float(self.t[row] - begin.shift)
+
+    @property
+    def durations(self) -> list[float]:
+        """Time from the first to the last sample of each recording, s."""
+        return [float(self.t[last - 1] - self.t[first]) for first, last in self.spans]
+
+    @property
+    def duration(self) -> float:
+        """All of these, s."""
+        return sum(self.durations)
+
+    @property
+    def longest(self) -> float:
+        """The longest of them: no window can be longer, s."""
+        return max(self.durations)
 
     @property
     def period(self) -> float:
@@ -50,13 +104,74 @@ class Record:
 
     def part(self, first: int, last: int) -> Record:
         """The samples first … last − 1."""
+        here = [self.begins[k] for k in self.within(first, last)]
         return replace(
             self,
             t=self.t[first:last],
             inputs=self.inputs[first:last],
             outputs=self.outputs[first:last],
             auxiliary={name: values[first:last] for name, values in self.auxiliary.items()},
+            begins=tuple(replace(begin, row=max(begin.row - first, 0)) for begin in here) or (Begin(),),
         )
+
+    def within(self, first: int, last: int) -> list[int]:
+        """Which of the recordings, counted from 0, have samples among first … last − 1."""
+        return [k for k, (a, b) in enumerate(self.spans) if max(a, first) < min(b, last)]
+
+    def followed_by(self, others: Sequence[Record]) -> Record:
+        """This recording and others of the same channels as one record, numbered in their order."""
+        every = (self, *others)
+        begins, row, end = list[Begin](), 0, float(self.t[0])
+        for number, record in enumerate(every, 1):
+            shift = end - float(record.t[0]) if row else 0.0
+            begins.append(Begin(row, number, shift))
+            row, end = row + len(record), float(record.t[-1]) + shift + BORDER * self.period
+        return replace(
+            self,
+            t=np.concatenate([r.t + b.shift if b.shift else r.t for r, b in zip(every, begins, strict=True)]),
+            inputs=np.concatenate([record.inputs for record in every]),
+            outputs=np.concatenate([record.outputs for record in every]),
+            auxiliary={
+                name: np.concatenate([record.auxiliary[name] for record in every]) for name in self.auxiliary
+            },
+            begins=tuple(begins),
+        )
+
+
+def joined(records: Sequence[Record], names: Sequence[str] = ()) -> Record:
+    """Several recordings as one record, one after another, numbered from 1; a single one as it is.
+
+    ``names`` are what messages call them. Raises RecordingError when one has no samples or other channels
+    than the first.
+    """
+    every = [each for record in records for each in record.recordings()]
+    if len(every) == 1:
+        return every[0]
+    called = list(names) or [f"recording {number}" for number in range(1, len(every) + 1)]
+    for name, record in zip(called, every, strict=True):
+        if not len(record):
+            raise RecordingError(f"{name}: expected samples, found 0")
+        for what, one, other in zip(CHANNELS, _channels(every[0]), _channels(record), strict=True):
+            if one != other:
+                raise RecordingError(
+                    f"{name}: expected the {what} {_listed(one)} as in {called[0]}, found {_listed(other)}: "
+                    "recordings that are fitted together need the same channels"
+                )
+    return every[0].followed_by(every[1:])
+
+
+CHANNELS = ("inputs", "hold of the inputs", "outputs", "units", "joints", "other channels")
+
+
+def _channels(record: Record) -> tuple[tuple[object, ...], ...]:
+    """What records have to have in common, in the order of CHANNELS."""
+    holds = tuple(hold.value for hold in record.input_holds)
+    outputs = (record.output_names, record.output_units, record.output_joints)
+    return (record.input_names, holds, *outputs, tuple(sorted(record.auxiliary)))
+
+
+def _listed(names: Sequence[object]) -> str:
+    return ", ".join(str(name) for name in names) or "none"
 
 
 @dataclass(frozen=True, slots=True)

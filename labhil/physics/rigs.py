@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -12,6 +12,7 @@ import numpy as np
 from labhil.errors import RecordingError, UnknownNameError, UsageError
 from labhil.kinds import RigKind
 from labhil.physics.model import Metric, Model, Record, Windows, index_of, start_values, starts_of
+from labhil.physics.several import several
 from labhil.recording.reader import Recording, StreamData
 from labhil.rig import RigFile, default_rig
 from labhil.signals import Signal
@@ -73,9 +74,15 @@ def rig_model(kind: str) -> RigModel:
     raise UnknownNameError("model of a rig kind", kind, MODELS)
 
 
-def model_for(rig: RigFile, record: Record | None = None) -> Model:
-    """The model of this rig, with sizes for starts and scales taken from ``record`` where there is one."""
-    return rig_model(rig.kind.name).load()(rig, record)
+def model_for(rig: RigFile, record: Record | None = None, per_recording: Sequence[str] = ()) -> Model:
+    """The model of this rig, with sizes for starts and scales taken from ``record`` where there is one.
+
+    That of several recordings has a value in each of what ``per_recording`` names, else the same values in
+    all (see ``physics.several``).
+    """
+    model = rig_model(rig.kind.name).load()(rig, record)
+    count = 1 if record is None else len(record.begins)
+    return several(model, per_recording, count) if count > 1 else model
 
 
 def by_inverse_dynamics(model: Model) -> Model:

@@ -197,9 +197,11 @@ class SolenoidModel:
     def _speed(record: Record | None) -> float:
         if record is None:
             return 0.05
-        stride = max(1, int(0.005 / record.period))
-        slow = record.outputs[::stride, 0]
-        return float(np.sqrt(np.mean((np.diff(slow) / np.diff(record.t[::stride])) ** 2))) or 0.05
+        speeds = []
+        for each in record.recordings():
+            stride = max(1, int(0.005 / each.period))
+            speeds.append(np.diff(each.outputs[::stride, 0]) / np.diff(each.t[::stride]))
+        return float(np.sqrt(np.mean(np.concatenate(speeds) ** 2))) or 0.05
 
     def _stiffness(self) -> float:
         """A spring that the strongest force moves over half of the stroke, N/m."""

@@ -44,7 +44,8 @@ class Parameter:
     which slopes are taken: wide where the simulation has kinks close to each other. ``shape`` marks a
     parameter that has no meaning while its term's level is zero (Stribeck velocity): while the term
     is absent it stays at ``scale``. ``linear`` says that the simulated outputs are affine in it, so
-    that an estimator may project it out. ``joint`` (from 0) tells apart the same law of several joints.
+    that an estimator may project it out. ``joint`` (from 0) tells apart the same law of several joints,
+    ``recording`` (from 1) what has a value of its own in each of several recordings.
     """
 
     name: str
@@ -59,11 +60,12 @@ class Parameter:
     shape: bool = False
     linear: bool = False
     joint: int | None = None
+    recording: int | None = None
 
     @property
     def key(self) -> str:
-        """Its name, unique among the parameters of a model: with the joint in brackets."""
-        return keyed(self.name, self.joint)
+        """Its name, unique among the parameters of a model: with joint and recording, where it has them."""
+        return keyed(self.name, self.joint, self.recording)
 
     @property
     def term(self) -> str | None:
@@ -109,6 +111,10 @@ def unkeyed(key: str) -> tuple[str, int | None]:
     return name, int(joint) if joint else None
 
 
-def keyed(name: str, joint: int | None) -> str:
-    """``coulomb_friction`` of joint 2 is ``coulomb_friction[2]``; what belongs to no joint keeps its name."""
-    return name if joint is None else f"{name}[{joint}]"
+def keyed(name: str, joint: int | None, recording: int | None = None) -> str:
+    """``coulomb_friction`` of joint 2 is ``coulomb_friction[2]``; what belongs to no joint keeps its name.
+
+    What has a value of its own in a recording names that too: ``payload.mass@1``.
+    """
+    whole = name if joint is None else f"{name}[{joint}]"
+    return whole if recording is None else f"{whole}@{recording}"

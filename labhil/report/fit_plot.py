@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,11 @@ from matplotlib.figure import Figure
 
 from labhil.identify.fit import Fit
 from labhil.identify.score import ChannelScore, Score
+from labhil.identify.statistics import runs
 from labhil.physics.model import Record
 from labhil.physics.terms import keyed
 from labhil.report.figure import AFTER, MEASURED, figure_of, finish, save
-from labhil.report.plots import broken
+from labhil.report.plots import apart, broken, time_axis
 from labhil.signals import FloatArray
 
 LAGS = 60
@@ -41,7 +43,8 @@ def fit_figure(fit: Fit, judged: Record, columns: int = 4) -> Figure:
         _draw_simulation(rows[j, 0], score, channel, j, judged)
         _draw_errors(rows[j, 1], score, channel, j, judged)
         _draw_histogram(rows[j, 2], score.errors[:, j], channel)
-        _draw_autocorrelation(rows[j, 3], fit.residuals[:, j])
+        own = runs(fit.fitted.problem.begins, len(fit.residuals))
+        _draw_autocorrelation(rows[j, 3], [fit.residuals[run, j] for run in own])
     return figure
 
 
@@ -51,17 +54,18 @@ def _name(channel: ChannelScore) -> str:
 
 def _draw_simulation(axes: Axes, score: Score, channel: ChannelScore, j: int, record: Record) -> None:
     t, measured = record.t[score.rows], record.outputs[score.rows, j]
-    axes.plot(t, measured, color=MEASURED, lw=2.5, alpha=0.5, label="measured")
+    drawn = apart(record, score.rows, measured)
+    axes.plot(t, drawn, color=MEASURED, lw=2.5, alpha=0.5, label="measured")
     simulated = broken(score, measured + score.errors[:, j])
     axes.plot(t, simulated, color=AFTER, lw=1.0, label=f"model, R² {100 * channel.r2:.2f} %")
-    finish(axes, "Model and measurement", "t, s", _name(channel))
+    finish(axes, "Model and measurement", time_axis(axes, record), _name(channel))
 
 
 def _draw_errors(axes: Axes, score: Score, channel: ChannelScore, j: int, record: Record) -> None:
     axes.plot(record.t[score.rows], broken(score, score.errors[:, j]), color=AFTER, lw=0.8)
     floor = channel.noise_floor
     axes.axhspan(-floor, floor, color="k", alpha=0.12, label="noise floor")
-    finish(axes, f"Error, RMSE {channel.rmse:.3g} {channel.unit}", "t, s", channel.unit)
+    finish(axes, f"Error, RMSE {channel.rmse:.3g} {channel.unit}", time_axis(axes, record), channel.unit)
 
 
 def _draw_histogram(axes: Axes, errors: FloatArray, channel: ChannelScore) -> None:
@@ -75,12 +79,14 @@ def _draw_histogram(axes: Axes, errors: FloatArray, channel: ChannelScore) -> No
     finish(axes, "Errors, distribution", channel.unit, "density")
 
 
-def _draw_autocorrelation(axes: Axes, residuals: FloatArray) -> None:
+def _draw_autocorrelation(axes: Axes, residuals: Sequence[FloatArray]) -> None:
+    """That of the residuals of each recording, the mean of them."""
     from statsmodels.tsa.stattools import acf
 
-    lags = min(LAGS, len(residuals) // 3)
-    correlation = acf(residuals, nlags=lags, fft=True)
-    band = 2.576 / np.sqrt(len(residuals))
+    lengths = [len(own) for own in residuals]
+    lags = min(LAGS, min(lengths) // 3)
+    correlation = np.average([acf(own, nlags=lags, fft=True) for own in residuals], axis=0, weights=lengths)
+    band = 2.576 / np.sqrt(sum(lengths))
     axes.vlines(np.arange(1, lags + 1), 0.0, correlation[1:], color=AFTER, lw=1.5)
     axes.axhspan(-band, band, color="k", alpha=0.12, label="white noise, 99 %")
     axes.axhline(0.0, color="k", lw=0.6)

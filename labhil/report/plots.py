@@ -14,7 +14,7 @@ from labhil.identify.score import Score
 from labhil.physics.model import Record
 from labhil.physics.terms import keyed
 from labhil.report.figure import AFTER, BEFORE, MEASURED, figure_of, finish, save
-from labhil.signals import FloatArray
+from labhil.signals import FloatArray, IntArray
 
 
 def diagnosis_plot(diagnosis: Diagnosis, held_out: Record, path: Path) -> None:
@@ -51,6 +51,27 @@ def broken(score: Score, values: FloatArray) -> FloatArray:
     return np.asarray(np.where(np.r_[True, np.diff(score.window) > 0], np.nan, values))
 
 
+def apart(record: Record, rows: IntArray, values: FloatArray) -> FloatArray:
+    """Values (N,) of some rows of a record with a gap where one of several recordings begins."""
+    if len(record.begins) == 1:
+        return values
+    first = np.searchsorted(rows, [begin.row for begin in record.begins])
+    gaps = np.zeros(len(values), dtype=bool)
+    gaps[first[first < len(values)]] = True
+    return np.where(gaps, np.nan, values)
+
+
+def time_axis(axes: Axes, record: Record) -> str:
+    """What a picture says of its time; borders between several recordings are drawn, with their numbers."""
+    if len(record.begins) == 1:
+        return "t, s"
+    for begin, (first, _) in zip(record.begins, record.spans, strict=True):
+        axes.axvline(record.t[first], color="k", lw=0.6, alpha=0.5)
+        place = axes.get_xaxis_transform()
+        axes.text(record.t[first], 1.0, f"@{begin.number}", transform=place, fontsize=7, va="top")
+    return "t, s, one recording after another"
+
+
 def channel_figure(diagnosis: Diagnosis, held_out: Record, j: int) -> Figure:
     """Simulation and errors of output channel ``j`` as a figure: for rigs that have more than one."""
     figure = figure_of((11.0, 3.6))
@@ -64,11 +85,12 @@ def _draw_windows(axes: Axes, diagnosis: Diagnosis, record: Record, j: int) -> N
     rows = diagnosis.after.rows
     t, measured = record.t[rows], record.outputs[rows, j]
     channel = diagnosis.after.channels[j]
-    axes.plot(t, measured, color=MEASURED, lw=2.5, alpha=0.5, label="measured")
+    axes.plot(t, apart(record, rows, measured), color=MEASURED, lw=2.5, alpha=0.5, label="measured")
     for score, colour, label in _both(diagnosis, j):
         axes.plot(t, broken(score, measured + score.errors[:, j]), color=colour, lw=1.0, label=label)
     name = keyed(channel.channel, channel.joint)
-    finish(axes, "Simulated windows on data the search never saw", "t, s", f"{name}, {channel.unit}")
+    title = "Simulated windows on data the search never saw"
+    finish(axes, title, time_axis(axes, record), f"{name}, {channel.unit}")
 
 
 def _draw_errors(axes: Axes, diagnosis: Diagnosis, record: Record, j: int) -> None:
@@ -76,7 +98,7 @@ def _draw_errors(axes: Axes, diagnosis: Diagnosis, record: Record, j: int) -> No
     for score, colour, label in _both(diagnosis, j):
         axes.plot(record.t[score.rows], broken(score, score.errors[:, j]), color=colour, lw=1.0, label=label)
     axes.axhspan(-channel.noise_floor, channel.noise_floor, color="k", alpha=0.12, label="noise floor")
-    finish(axes, "Error", "t, s", channel.unit)
+    finish(axes, "Error", time_axis(axes, record), channel.unit)
 
 
 def _draw_missing(axes: Axes, diagnosis: Diagnosis) -> None:

@@ -13,9 +13,10 @@ import numpy as np
 
 from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.answer import Curve, Diagnosis
+from labhil.diagnose.locate import Location
 from labhil.errors import ModelFileError
 from labhil.identify.fit import Fit
-from labhil.identify.score import Score
+from labhil.identify.score import Figures, Score
 from labhil.identify.statistics import Estimate
 from labhil.physics.terms import keyed
 from labhil.signals import FloatArray
@@ -25,7 +26,8 @@ from labhil.signals import FloatArray
 class Source:
     """A recording that a result comes from; ``role`` is "search", "train" or "test".
 
-    ``start`` and ``duration`` (s) say which stretch of it was used.
+    ``start`` and ``duration`` (s) say which stretch of it was used; ``recording`` is its number among several
+    of its role.
     """
 
     path: str
@@ -35,11 +37,17 @@ class Source:
     duration: float
     role: str
     start: float = 0.0
+    recording: int | None = None
+
+
+OF_SEVERAL = ("recording", "times_in", "per_recording")
+"""Fields that only results of several recordings have."""
 
 
 def fit_json(fit: Fit, sources: Sequence[Source], rig: str, estimator: str, seed: int, seconds: float) -> Any:
     """The whole of a fit as plain JSON data."""
-    return finite(
+    return _told(
+        sources,
         {
             "schema": "labhil.fit/1",
             "recordings": [asdict(source) for source in sources],
@@ -64,27 +72,45 @@ def fit_json(fit: Fit, sources: Sequence[Source], rig: str, estimator: str, seed
             "converged": fit.converged,
             "evaluations": fit.evaluations,
             "seconds": seconds,
-        }
+        },
     )
+
+
+def _told(sources: Sequence[Source], result: dict[str, Any]) -> Any:
+    """A result as plain JSON data; of one recording it says nothing of which."""
+    several = any(source.recording is not None for source in sources)
+    return finite(result if several else _of_one(result))
+
+
+def _of_one(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _of_one(inner) for key, inner in value.items() if key not in OF_SEVERAL}
+    return [_of_one(inner) for inner in value] if isinstance(value, (list, tuple)) else value
 
 
 def score_json(score: Score) -> dict[str, Any]:
     """Headline and channels of a score; R² is a fraction."""
+    stated = {"metric": score.metric.value, "horizon": score.horizon, **_figures(score)}
+    if score.recordings:
+        stated["per_recording"] = [{"recording": r.recording, **_figures(r)} for r in score.recordings]
+    return stated
+
+
+def _figures(figures: Figures) -> dict[str, Any]:
     return {
-        "metric": score.metric.value,
-        "horizon": score.horizon,
-        "mse": score.mse,
-        "rmse": score.rmse,
-        "max_abs_error": score.max_abs_error,
-        "r2": score.r2,
-        "noise_floor": score.noise_floor,
-        "per_channel": [asdict(channel) for channel in score.rows_told],
+        "mse": figures.mse,
+        "rmse": figures.rmse,
+        "max_abs_error": figures.max_abs_error,
+        "r2": figures.r2,
+        "noise_floor": figures.noise_floor,
+        "per_channel": [asdict(channel) for channel in figures.rows_told],
     }
 
 
 def diagnosis_json(diagnosis: Diagnosis, sources: Sequence[Source]) -> Any:
     """The whole of a diagnosis as plain JSON data."""
-    return finite(
+    return _told(
+        sources,
         {
             "schema": "labhil.diagnosis/1",
             "recordings": [asdict(source) for source in sources],
@@ -95,7 +121,7 @@ def diagnosis_json(diagnosis: Diagnosis, sources: Sequence[Source]) -> Any:
             "p_value_floor": diagnosis.p_value_floor,
             "baseline": {"terms": list(diagnosis.baseline_terms), "parameters": _rows(diagnosis.baseline)},
             "changed": [asdict(change) for change in diagnosis.changed],
-            "location": None if diagnosis.location is None else asdict(diagnosis.location),
+            "location": None if diagnosis.location is None else _location(diagnosis.location),
             "missing": [{**asdict(item), "parameters": _rows(item.parameters)} for item in diagnosis.missing],
             "rivals": [asdict(rival) for rival in diagnosis.rivals],
             "undecided": [asdict(item) for item in diagnosis.undecided],
@@ -104,8 +130,14 @@ def diagnosis_json(diagnosis: Diagnosis, sources: Sequence[Source]) -> Any:
             "final": {"terms": list(diagnosis.final_terms), "parameters": _rows(diagnosis.final)},
             "curve": None if diagnosis.curve is None else _curve(diagnosis.curve),
             "seconds": diagnosis.seconds,
-        }
+        },
     )
+
+
+def _location(location: Location) -> dict[str, Any]:
+    stated = asdict(location)
+    stated["times_in"] = stated.pop("recordings")
+    return stated
 
 
 def _curve(curve: Curve) -> dict[str, Any]:
@@ -123,10 +155,18 @@ def _curve(curve: Curve) -> dict[str, Any]:
 
 def _improvement(diagnosis: Diagnosis) -> dict[str, Any]:
     before, after = diagnosis.before, diagnosis.after
+    stated: dict[str, Any] = {"data": diagnosis.data, "metric": after.metric.value}
+    stated |= {"horizon": after.horizon, **_before_and_after(before, after)}
+    if after.recordings:
+        stated["per_recording"] = [
+            {"recording": a.recording, **_before_and_after(b, a)}
+            for b, a in zip(before.recordings, after.recordings, strict=True)
+        ]
+    return stated
+
+
+def _before_and_after(before: Figures, after: Figures) -> dict[str, Any]:
     return {
-        "data": diagnosis.data,
-        "metric": after.metric.value,
-        "horizon": after.horizon,
         "rmse_before": before.rmse,
         "rmse_after": after.rmse,
         "noise_floor": after.noise_floor,
@@ -189,8 +229,12 @@ def values_of(path: Path) -> dict[str, float]:
                 f"{path}: parameters: expected rows with a `name` and a finite `value`, found {row!r}"
             )
         if value is not None:
-            values[keyed(name, row.get("joint"))] = float(value)
+            values[_key(row)] = float(value)
     return values
+
+
+def _key(row: Mapping[str, Any]) -> str:
+    return keyed(row["name"], row.get("joint"), row.get("recording"))
 
 
 def terms_of(path: Path) -> tuple[str, ...]:
@@ -208,7 +252,7 @@ def accepted_of(path: Path) -> Accepted:
     are an upper bound of any covariance of k values. Raises ModelFileError with the field that is wrong.
     """
     values, terms, model = values_of(path), terms_of(path), _model_in(path)
-    keys = tuple(keyed(row["name"], row.get("joint")) for row in model["parameters"])
+    keys = tuple(_key(row) for row in model["parameters"])
     covariance = _covariance(path, model.get("covariance"), len(keys))
     if covariance is None:
         covariance = _from_errors(model["parameters"])

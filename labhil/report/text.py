@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from rich.console import Console, Group, RenderableType
 from rich.table import Table
@@ -10,7 +10,7 @@ from rich.text import Text
 
 from labhil.diagnose.answer import Diagnosis
 from labhil.identify.fit import Fit
-from labhil.identify.score import ChannelScore, Score
+from labhil.identify.score import ChannelScore, Figures, Score
 from labhil.identify.statistics import Estimate
 from labhil.physics.model import Metric
 from labhil.physics.terms import keyed
@@ -18,8 +18,9 @@ from labhil.report.html.quantity import squared
 from labhil.report.verdicts import VERDICTS
 
 
-def show_fit(fit: Fit, console: Console) -> None:
-    """Print a fit."""
+def show_fit(fit: Fit, console: Console, numbered: Sequence[str] = ()) -> None:
+    """Print a fit; ``numbered`` are lines that say what the numbers of several recordings stand for."""
+    _show_numbered(numbered, console)
     console.print(parameter_table(fit.estimates, f"Parameters: errors robust to correlation, {_kind(fit)}"))
     for note in _fit_notes(fit):
         console.print(Text("· " + note, style="yellow"))
@@ -32,6 +33,11 @@ def show_fit(fit: Fit, console: Console) -> None:
         f"{_fitted_on(fit)}, {fit.evaluations} simulations; RMSE there {_left(fit)}"
         + ("." if fit.converged else "; stopped before it had settled.")
     )
+
+
+def _show_numbered(numbered: Sequence[str], console: Console) -> None:
+    for line in numbered:
+        console.print(Text(line))
 
 
 def _fitted_on(fit: Fit) -> str:
@@ -59,7 +65,7 @@ def parameter_table(estimates: Sequence[Estimate], title: str) -> Table:
     table.add_column("unit")
     for row in estimates:
         table.add_row(
-            keyed(row.name, row.joint),
+            row.key,
             f"{row.value:.5g}",
             f"{row.std_error:.2g}",
             f"[{row.ci99[0]:.4g}, {row.ci99[1]:.4g}]".replace("[", r"\["),
@@ -85,7 +91,7 @@ def _mark(row: Estimate) -> str:
 
 
 def score_table(scores: Sequence[tuple[str, Score]]) -> Table:
-    """Errors of windowed simulation, one row per data set and channel."""
+    """Errors of windowed simulation, one row per data set and channel, then those of each recording."""
     horizon = scores[0][1].horizon
     table = Table(
         title="Inverse dynamics" if horizon is None else f"Simulated windows of {horizon:.3g} s",
@@ -99,11 +105,11 @@ def score_table(scores: Sequence[tuple[str, Score]]) -> Table:
     forces = any(row.relative_error is not None for _, score in scores for row in score.rows_told)
     if forces:
         table.add_column("RMSE/RMS", justify="right")
-    for label, score in scores:
-        for channel in score.rows_told:
+    for label, figures, metric in _each_recording(scores):
+        for channel in figures.rows_told:
             table.add_row(
                 label,
-                _told(channel, score),
+                _told(channel, metric),
                 f"{channel.rmse:.4g} {channel.unit}",
                 f"{channel.noise_floor:.4g} {channel.unit}",
                 f"{channel.max_abs_error:.4g} {channel.unit}",
@@ -114,15 +120,22 @@ def score_table(scores: Sequence[tuple[str, Score]]) -> Table:
     return table
 
 
-def _told(channel: ChannelScore, score: Score) -> str:
+def _told(channel: ChannelScore, metric: Metric) -> str:
     """A channel's name, with the metric where it is not the headline's."""
     name = keyed(channel.channel, channel.joint)
-    return name if channel.metric is score.metric else f"{name} ({channel.metric.value.replace('_', ' ')})"
+    return name if channel.metric is metric else f"{name} ({channel.metric.value.replace('_', ' ')})"
 
 
 def _share(channel: ChannelScore) -> str:
     """The error over what was measured, where zero means something."""
     return "" if channel.relative_error is None else f"{100 * channel.relative_error:.2f} %"
+
+
+def _each_recording(scores: Sequence[tuple[str, Score]]) -> Iterator[tuple[str, Figures, Metric]]:
+    for label, score in scores:
+        yield label, score, score.metric
+        for own in score.recordings:
+            yield f"{label} @{own.recording}", own, score.metric
 
 
 def window_table(fit: Fit) -> Table:
@@ -146,7 +159,7 @@ def window_table(fit: Fit) -> Table:
 
 def _fit_notes(fit: Fit) -> list[str]:
     notes = [
-        f"{row.name} is at its bound, so its interval is one-sided at best."
+        f"{keyed(row.name, None, row.recording)} is at its bound, so its interval is one-sided at best."
         for row in fit.estimates
         if row.at_bound and row.identifiable
     ]
@@ -166,8 +179,9 @@ def _fit_notes(fit: Fit) -> list[str]:
     return notes
 
 
-def show_diagnosis(diagnosis: Diagnosis, console: Console) -> None:
-    """Print a diagnosis."""
+def show_diagnosis(diagnosis: Diagnosis, console: Console, numbered: Sequence[str] = ()) -> None:
+    """Print a diagnosis; ``numbered`` are lines that say what the numbers of several recordings stand for."""
+    _show_numbered(numbered, console)
     console.print(diagnosis_text(diagnosis))
 
 
@@ -205,7 +219,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> RenderableType:
     ]
     parts += [
         Text(
-            f"• {keyed(c.name, c.joint)} changed from {c.before:.4g} to {c.after:.4g} {c.unit} "
+            f"• {keyed(c.name, c.joint, c.recording)} changed from {c.before:.4g} to {c.after:.4g} {c.unit} "
             f"(p = {c.p_value:.2g})"
         )
         for c in diagnosis.changed
@@ -225,7 +239,8 @@ def diagnosis_text(diagnosis: Diagnosis) -> RenderableType:
             Text(
                 "Not there, or smaller than this (99 %): "
                 + ", ".join(
-                    f"{keyed(e.term, e.joint)} {e.largest_hidden:.2g} {e.unit}" for e in diagnosis.excluded
+                    f"{keyed(e.term, e.joint, e.recording)} {e.largest_hidden:.2g} {e.unit}"
+                    for e in diagnosis.excluded
                 ),
                 style="dim",
             )

@@ -19,8 +19,8 @@ from labhil.physics.model import Record
 from labhil.physics.rigs import model_for, record_of
 from labhil.physics.terms import keyed
 from labhil.recording.reader import read_recording
+from labhil.report.material import rig_of
 from labhil.report.results import Source, accepted_of, finite, score_json
-from labhil.report.study import rig_of
 from labhil.report.text import small
 
 

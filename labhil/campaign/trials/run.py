@@ -30,7 +30,8 @@ from labhil.campaign.trials.folder import (
 )
 from labhil.campaign.trials.seal import sha256_of
 from labhil.errors import UsageError
-from labhil.report.study import diagnose_study, load_material
+from labhil.report.material import load_material
+from labhil.report.study import diagnose_study
 
 SCHEMA = "labhil.diagnosis/1"
 Progress = Callable[[str], None]

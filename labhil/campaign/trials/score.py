@@ -23,7 +23,7 @@ from labhil.campaign.trials.regime import overlap
 from labhil.campaign.trials.said import Said, read_said
 from labhil.campaign.trials.seal import open_envelope, sha256_of
 from labhil.errors import UsageError
-from labhil.report.study import load_material
+from labhil.report.material import load_material
 
 Progress = Callable[[str], None]
 

@@ -7,6 +7,7 @@ wrong by one per cent changes that friction, a few per cent of the torque itself
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,6 +61,22 @@ def first_estimate(
         columns = np.concatenate([rigid, _joint_columns(motion_view, inertial, torque_constant)], axis=2)
     errors = np.sqrt(inflation * np.maximum(np.diag(covariance), 0.0))[: len(chosen)]
     return FirstEstimate(everything.only(chosen), values, errors)
+
+
+def best_of(links: Links, found: Sequence[FirstEstimate]) -> FirstEstimate:
+    """What several recordings show, each by itself: they may differ in what the arm carries.
+
+    Whatever one of them can tell is among it, as the one that knows it best has it.
+    """
+    known: dict[int, tuple[float, float]] = {}
+    for each in found:
+        for column, value, error in zip(each.grouped.kept, each.values, each.errors, strict=True):
+            if column not in known or error < known[column][1]:
+                known[column] = (float(value), float(error))
+    everything = grouped(links)
+    chosen = [i for i, column in enumerate(everything.kept) if column in known]
+    values, errors = zip(*(known[everything.kept[i]] for i in chosen), strict=True) if chosen else ((), ())
+    return FirstEstimate(everything.only(chosen), np.array(values), np.array(errors))
 
 
 def _joint_columns(view: View, inertial: FloatArray | None, torque_constant: FloatArray) -> FloatArray:

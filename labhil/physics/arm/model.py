@@ -13,7 +13,7 @@ import numpy as np
 from labhil.errors import UnknownNameError
 from labhil.kinds import JOINTS
 from labhil.physics.arm.catalogue import NEVER_SEEN, Sizes, catalogue
-from labhil.physics.arm.first_estimate import FirstEstimate, first_estimate
+from labhil.physics.arm.first_estimate import FirstEstimate, best_of, first_estimate
 from labhil.physics.arm.grouped import grouped
 from labhil.physics.arm.joint_laws import LAWS, JointMotion, directions
 from labhil.physics.arm.links import PER_LINK, UR5, inertial_of, load_links
@@ -34,6 +34,9 @@ GAIN = "torque_constant.gain"
 COMPLIANCE = "joint_elasticity.compliance"
 LENGTH = "presliding_friction.length"
 WHOLE_ARM = ("payload", "base_tilt", "clock_offset")
+KEPT = 8
+"""Records of which motion and regressors are kept, for each recording that is fitted."""
+
 LAST = slice((JOINTS - 1) * PER_LINK, JOINTS * PER_LINK)
 
 
@@ -70,8 +73,9 @@ class ArmModel:
         sizes = Sizes.of(record, self._constant)
         warm = None if record is None else temperatures(record)
         self._temperature = np.zeros(JOINTS) if warm is None else warm.mean(axis=0)
-        self._seen: Remembered[tuple[FloatArray, Motion, np.ndarray]] = Remembered(8)
-        self._views: Remembered[View] = Remembered(8)
+        size = KEPT * (1 if record is None else len(record.begins))
+        self._seen: Remembered[tuple[FloatArray, Motion, np.ndarray]] = Remembered(size)
+        self._views: Remembered[View] = Remembered(size)
         self.first = self._first(record)
         everything = catalogue(sizes)
         self.never_seen = dict(NEVER_SEEN) | self._absent(everything, record is None or warm is not None)
@@ -98,8 +102,11 @@ class ArmModel:
         if record is None:
             every = grouped(self.links)
             return FirstEstimate(every, np.zeros(len(every.kept)), np.ones(len(every.kept)))
-        ready = self.prepare(record)
-        return first_estimate(self.links, ready, self._view(ready), self._constant)
+        found = [
+            first_estimate(self.links, ready, self._view(ready), self._constant)
+            for ready in map(self.prepare, record.recordings())
+        ]
+        return found[0] if len(found) == 1 else best_of(self.links, found)
 
     def _own(self) -> tuple[Parameter, ...]:
         """Torque constants and grouped inertial parameters, where they are to be estimated."""

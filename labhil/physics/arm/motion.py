@@ -14,6 +14,7 @@ near the ends, and where samples are missing, nothing is kept at all.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -93,9 +94,29 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class PreparedRecord(Record):
-    """A record that was filtered and thinned out, with the motion that it was made of."""
+    """A record that was filtered and thinned out, with the motion that each recording was made of."""
 
-    motion: Motion | None = field(default=None, compare=False)
+    motions: tuple[Motion, ...] = field(default=(), compare=False)
+
+    @property
+    def motion(self) -> Motion | None:
+        """That of a single recording."""
+        return self.motions[0] if len(self.motions) == 1 else None
+
+    def part(self, first: int, last: int) -> PreparedRecord:
+        """The samples first … last − 1, with the motions of their recordings."""
+        # the parent by its name: a class with slots is not the one that super() looks for
+        motions = tuple(self.motions[k] for k in self.within(first, last)) if self.motions else ()
+        found = Record.part(self, first, last)
+        assert isinstance(found, PreparedRecord)
+        return replace(found, motions=motions)
+
+    def followed_by(self, others: Sequence[Record]) -> PreparedRecord:
+        """This recording and others that were prepared too."""
+        every = [each for each in (self, *others) if isinstance(each, PreparedRecord)]
+        found = Record.followed_by(self, others)
+        assert isinstance(found, PreparedRecord)
+        return replace(found, motions=tuple(motion for each in every for motion in each.motions))
 
     @property
     def places(self) -> np.ndarray:
@@ -104,8 +125,12 @@ class PreparedRecord(Record):
 
 
 def cut_off_of(record: Record | None) -> float:
-    """Cut-off (Hz) that leaves the trajectory of a record alone."""
-    if record is None or len(record) < FEWEST:
+    """Cut-off (Hz) that leaves the trajectory of a record alone, those of all its recordings."""
+    return LOWEST_CUT_OFF if record is None else max(_cut_off(each) for each in record.recordings())
+
+
+def _cut_off(record: Record) -> float:
+    if len(record) < FEWEST:
         return LOWEST_CUT_OFF
     period = record.period
     grid = np.arange(record.t[0], record.t[-1], period)
@@ -125,7 +150,7 @@ def as_it_is(record: Record) -> Motion:
 
 
 def prepared(record: Record, cut_off: float) -> PreparedRecord:
-    """Filter a record and keep what can be judged; RecordingError when nothing moves for long enough."""
+    """Filter a recording and keep what can be judged; RecordingError when nothing moves for long enough."""
     period = record.period
     grid = record.t[0] + period * np.arange(int((record.t[-1] - record.t[0]) / period + 1e-6) + 1)
     low_pass = LowPass(min(cut_off, 0.45 / period), period)
@@ -155,7 +180,8 @@ def prepared(record: Record, cut_off: float) -> PreparedRecord:
         input_holds=record.input_holds,
         auxiliary={n: x[rows] for n, x in auxiliary.items()} | {PLACE: rows.astype(np.float64)},
         output_joints=record.output_joints,
-        motion=motion,
+        begins=record.begins,
+        motions=(motion,),
     )
 
 

@@ -24,6 +24,7 @@ from labhil.report.html.schema import (
     ChannelImprovement,
     DiagnosisPart,
     ImprovementPart,
+    Interval,
     LocationPart,
     MissingPart,
     RivalPart,
@@ -145,7 +146,7 @@ def _changed(diagnosis: DiagnosisPart) -> Section | None:
         return None
     rows = [
         (
-            named(change.name, change.joint),
+            named(change.name, change.joint, change.recording),
             quantity(change.before, change.unit),
             quantity(change.after, change.unit),
             interval(change.ci99, change.unit),
@@ -160,7 +161,7 @@ def _changed(diagnosis: DiagnosisPart) -> Section | None:
 def _location(where: LocationPart | None) -> Section | None:
     if where is None:
         return None
-    times = ", ".join(interval(span, "s") for span in where.times)
+    times = ", ".join(_time(span, where.times_in[i : i + 1]) for i, span in enumerate(where.times))
     told = facts(
         (
             ("Channel", tag("code", keyed(where.channel, where.joint))),
@@ -182,6 +183,11 @@ def _location(where: LocationPart | None) -> Section | None:
     return section("Where the mismatch is", told, regimes)
 
 
+def _time(span: Interval, recording: Sequence[int]) -> str:
+    """A stretch of time, with the number of its recording where there are several."""
+    return interval(span, "s") + "".join(f" of @{number}" for number in recording)
+
+
 def _improvement(better: ImprovementPart | None, pictures: Sequence[Markup]) -> Section | None:
     if better is None:
         return section("How much better the model predicts", *pictures)
@@ -193,6 +199,8 @@ def _improvement(better: ImprovementPart | None, pictures: Sequence[Markup]) -> 
     )
     caption = "Before above after; the line is the noise floor, which a perfect model would reach"
     rows = [_channel(channel, better.metric) for channel in better.per_channel]
+    for own in better.per_recording:
+        rows += [_channel(channel, better.metric, own.recording) for channel in own.per_channel]
     return section(
         "How much better the model predicts",
         tag("p", _scored(better)),
@@ -202,16 +210,20 @@ def _improvement(better: ImprovementPart | None, pictures: Sequence[Markup]) -> 
 
 
 def _scored(better: ImprovementPart) -> str:
-    data = "the test recording" if better.data == "test" else "the held-out end of the recording"
+    many = len(better.per_recording) > 1
+    if better.data == "test":
+        data = "the test recordings" if many else "the test recording"
+    else:
+        data = "the held-out end of each recording" if many else "the held-out end of the recording"
     if better.metric == "inverse_dynamics":
         return f"Scored by inverse dynamics on {data}, which the search never saw."
     horizon = quantity(better.horizon, "s")
     return f"Scored by simulating windows of {horizon} of {data}, which the search never saw."
 
 
-def _channel(channel: ChannelImprovement, metric: str) -> list[Content]:
+def _channel(channel: ChannelImprovement, metric: str, recording: int | None = None) -> list[Content]:
     return [
-        channel_named(channel, metric),
+        channel_named(channel, metric, recording),
         quantity(channel.rmse_before, channel.unit),
         quantity(channel.rmse_after, channel.unit),
         quantity(channel.noise_floor, channel.unit),
@@ -259,7 +271,7 @@ def _excluded(diagnosis: DiagnosisPart) -> Section | None:
     columns = (*text("Effect"), *numbers("Largest that could hide", "Confidence"))
     rows = [
         (
-            tag("code", keyed(item.term, item.joint)),
+            tag("code", keyed(item.term, item.joint, item.recording)),
             quantity(item.largest_hidden, item.unit, digits=3),
             f"{100 * item.confidence:.4g}\N{NO-BREAK SPACE}%" if item.confidence is not None else None,
         )

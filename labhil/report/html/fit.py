@@ -8,7 +8,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from labhil.physics.terms import keyed
 from labhil.report.figure import AFTER, MEASURED, figure_of, finish
 from labhil.report.html.element import Content, Markup, tag
 from labhil.report.html.model import (
@@ -113,14 +112,22 @@ def _scores(fit: FitPart, pictures: Sequence[Markup]) -> Section | None:
         *text("Data", "Channel"),
         *numbers("RMSE", "Noise floor", "RMSE ÷ floor", "Largest error", "MSE", "R²"),
     )
-    rows = [_channel("train", channel, fit.train) for channel in fit.train.per_channel]
+    rows = _channels("train", fit.train)
     if fit.test is not None:
-        rows += [_channel("test", channel, fit.test) for channel in fit.test.per_channel]
+        rows += _channels("test", fit.test)
     if fit.train.metric == "inverse_dynamics":
         caption = "Errors of inverse dynamics"
     else:
         caption = f"Errors of simulated windows of {quantity(fit.train.horizon, 's')}"
     return section("How well it predicts", table(caption, columns, rows), *pictures)
+
+
+def _channels(data: str, score: ScorePart) -> list[list[Content]]:
+    """All channels, then those of each recording."""
+    rows = [_channel(data, channel, score) for channel in score.per_channel]
+    for own in score.per_recording:
+        rows += [_channel(f"{data} @{own.recording}", channel, score) for channel in own.per_channel]
+    return rows
 
 
 def _channel(data: str, channel: ChannelErrors, score: ScorePart) -> list[Content]:
@@ -155,7 +162,7 @@ def _windows(fit: FitPart, album: Album) -> Section | None:
 
 
 def _draw_windows(fit: FitPart) -> Figure:
-    drawn = [row for row in fit.parameters if keyed(row.name, row.joint) in fit.by_window[0].values]
+    drawn = [row for row in fit.parameters if row.key in fit.by_window[0].values]
     drawn = drawn[:MOST_PANELS]
     height = max(1, -(-len(drawn) // PANELS_IN_ROW))
     figure = figure_of((10.5, 2.1 * height + 0.3))
@@ -163,7 +170,7 @@ def _draw_windows(fit: FitPart) -> Figure:
     for axes in panels[len(drawn) :]:
         axes.set_axis_off()
     for axes, row in zip(panels, drawn, strict=False):
-        key = keyed(row.name, row.joint)
+        key = row.key
         places = range(len(fit.by_window))
         values = np.array([rung.values.get(key) for rung in fit.by_window], dtype=np.float64)
         errors = np.array([rung.std_errors.get(key) for rung in fit.by_window], dtype=np.float64)
@@ -222,7 +229,7 @@ def _draw_correlations(
     image = axes.imshow(correlation, cmap="RdBu_r", vmin=-1.0, vmax=1.0, aspect="auto")
     axes.set_yticks(
         range(len(rows)),
-        [f"{label(keyed(row.name, row.joint))}  {i}" for i, row in enumerate(rows, 1)],
+        [f"{label(row.key)}  {i}" for i, row in enumerate(rows, 1)],
         fontsize=8,
     )
     axes.set_xticks(range(len(rows)), [str(i + 1) for i in range(len(rows))], fontsize=8)

@@ -28,7 +28,7 @@ def recordings_table(sources: Sequence[Source]) -> Markup:
     rows = [
         (
             tag("code", source.path),
-            source.role,
+            source.role if source.recording is None else f"{source.role} @{source.recording}",
             count(source.samples),
             quantity(source.duration, "s"),
             tag("code", source.sha256, class_="hash"),
@@ -52,7 +52,7 @@ def _parameter(row: ParameterRow, reference: bool) -> list[Content]:
     if reference:
         errors.append(quantity(row.std_error_reference, digits=2))
     return [
-        named(row.name, row.joint),
+        named(row.name, row.joint, row.recording),
         quantity(row.value, row.unit),
         *errors,
         interval(row.ci99),
@@ -123,18 +123,20 @@ def _unsure(row: ParameterRow) -> bool:
 
 
 def _labelled(row: ParameterRow) -> str:
-    return f"{keyed(row.name, row.joint)} = {quantity(row.value, row.unit)}"
+    return f"{row.key} = {quantity(row.value, row.unit)}"
 
 
-def named(name: str, joint: int | None = None) -> Markup:
+def named(name: str, joint: int | None = None, recording: int | None = None) -> Markup:
     """A name as code, which a narrow column may break behind its dots."""
-    first, *others = keyed(name, joint).split(".")
+    first, *others = keyed(name, joint, recording).split(".")
     return tag("code", first, *(joined((".", tag("wbr"), other)) for other in others))
 
 
-def channel_named(row: ChannelErrors | ChannelImprovement, metric: str) -> Content:
+def channel_named(
+    row: ChannelErrors | ChannelImprovement, metric: str, recording: int | None = None
+) -> Content:
     """A channel's name, with its metric where that is not the headline's ``metric``."""
-    name = named(row.channel, row.joint)
+    name = named(row.channel, row.joint, recording)
     if row.metric in (None, metric):
         return name
     share = row.relative_error if isinstance(row, ChannelErrors) else None

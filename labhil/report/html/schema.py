@@ -12,6 +12,7 @@ from typing import Any, Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from labhil.errors import ModelFileError
+from labhil.physics.terms import keyed
 
 Number = float | None
 Interval = tuple[Number, Number]
@@ -32,6 +33,7 @@ class Source(Part):
     samples: int
     duration: Number = None
     role: str = ""
+    recording: int | None = None
 
 
 class ParameterRow(Part):
@@ -50,6 +52,12 @@ class ParameterRow(Part):
     significant: bool | None = None
     identifiable: bool = True
     at_bound: bool = False
+    recording: int | None = None
+
+    @property
+    def key(self) -> str:
+        """Its name with joint and recording, where it has them."""
+        return keyed(self.name, self.joint, self.recording)
 
 
 class ChannelErrors(Part):
@@ -67,6 +75,13 @@ class ChannelErrors(Part):
     relative_error: Number = None
 
 
+class RecordingErrors(Part):
+    """Errors on one of several recordings."""
+
+    recording: int
+    per_channel: tuple[ChannelErrors, ...]
+
+
 class ScorePart(Part):
     """Errors on one set of data."""
 
@@ -76,6 +91,7 @@ class ScorePart(Part):
     r2: Number = None
     noise_floor: Number = None
     per_channel: tuple[ChannelErrors, ...]
+    per_recording: tuple[RecordingErrors, ...] = ()
 
     @property
     def unit(self) -> str:
@@ -155,6 +171,7 @@ class ChangePart(Part):
     unit: str = ""
     ci99: Interval | None = None
     p_value: Number = None
+    recording: int | None = None
 
 
 class RegimePart(Part):
@@ -174,6 +191,7 @@ class LocationPart(Part):
     joint: int | None = None
     enters: str
     times: tuple[Interval, ...] = ()
+    times_in: tuple[int, ...] = ()
     regimes: tuple[RegimePart, ...] = ()
     statement: str
 
@@ -227,6 +245,7 @@ class ExcludedPart(Part):
     largest_hidden: Number
     unit: str = ""
     confidence: Number = None
+    recording: int | None = None
 
 
 class ChannelImprovement(Part):
@@ -243,6 +262,13 @@ class ChannelImprovement(Part):
     metric: str | None = None
 
 
+class RecordingImprovement(Part):
+    """One of several recordings before and after."""
+
+    recording: int
+    per_channel: tuple[ChannelImprovement, ...]
+
+
 class ImprovementPart(Part):
     """How much better the final model predicts data that the search never saw."""
 
@@ -257,6 +283,7 @@ class ImprovementPart(Part):
     r2_before: Number = None
     r2_after: Number = None
     per_channel: tuple[ChannelImprovement, ...] = ()
+    per_recording: tuple[RecordingImprovement, ...] = ()
 
     @property
     def unit(self) -> str:

@@ -1,0 +1,268 @@
+"""Several recordings of one rig: the same physics in all of them, but for what is named.
+
+Every recording has the same model. Its vector for one recording is made of the parameters that all share
+and of those that this recording has for itself; windows are simulated recording by recording, and their
+rows put together again in order.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from labhil.errors import RecordingError, UnknownNameError, UsageError
+from labhil.physics.extra_force import ExtraForce, Yielding
+from labhil.physics.model import Metric, Model, Record, Windows, joined
+from labhil.physics.terms import Parameter, Term, Yardstick, keyed, unkeyed
+from labhil.signals import FloatArray, IntArray
+
+REMEMBERED = 8
+"""Records of which the recordings are kept: models remember what they know of a record."""
+
+RECORDING = "recording"
+"""The coordinate that tells by its number which recording a sample belongs to."""
+
+
+@dataclass(frozen=True, slots=True)
+class Share:
+    """What windows have of one recording.
+
+    ``number`` is the recording's, ``span`` its samples in the record, ``record`` itself alone and ``windows``
+    those that lie in it. ``whose`` are their places among all windows, ``rows`` those of their rows.
+    """
+
+    number: int
+    span: slice
+    record: Record
+    windows: Windows
+    whose: slice
+    rows: slice
+
+
+class SeveralModel:
+    """The model of several recordings (satisfies ``physics.model.Model``).
+
+    ``inner`` is the model of each. What ``names`` call (terms, parameters, the rig's own sizes; with a joint
+    in brackets for that joint alone) has a value in each of ``count`` recordings. Records have recordings of
+    these numbers; where no names are given, of any.
+
+    Raises UnknownNameError for a name that does not exist, UsageError for one that the rig file fixes or that
+    recordings cannot show.
+    """
+
+    def __init__(self, inner: Model, names: Sequence[str], count: int) -> None:
+        self.inner = inner
+        self.names = tuple(names)
+        self.count = count
+        self.kind = inner.kind
+        self.state_names = inner.state_names
+        self.state_scale = inner.state_scale
+        self.fixed = inner.fixed
+        self.never_seen = inner.never_seen
+        self.metric: Metric = inner.metric
+        self.forgets = inner.forgets
+        self.horizon = inner.horizon
+        self.coordinate_units = inner.coordinate_units
+        apart = {p.key for name in names for p in _named(inner, name)}
+        copies = [_copies(p, count) if p.key in apart else (p,) for p in inner.parameters]
+        self.parameters = tuple(p for each in copies for p in each)
+        by_key = {p.key: each for p, each in zip(inner.parameters, copies, strict=True)}
+        self.terms: Mapping[str, Term] = {
+            key: replace(term, parameters=tuple(p for one in term.parameters for p in by_key[one.key]))
+            for key, term in inner.terms.items()
+        }
+        self._places = _places(copies, count if apart else 1)
+        self._apart: dict[int, tuple[Record, tuple[Record, ...]]] = {}
+        self._force: ExtraForce | None = None
+
+    def of_recording(self, theta: FloatArray, number: int) -> FloatArray:
+        """The inner model's vector for the recording of a number (from 1).
+
+        Raises RecordingError for a number beyond those that the model was made for.
+        """
+        if len(self._places) == 1:
+            return theta[self._places[0]]
+        if not 1 <= number <= self.count:
+            raise RecordingError(
+                f"recording {number}: expected one of {self.count}, each of which has its own "
+                f"{', '.join(self.names)}"
+            )
+        return theta[self._places[number - 1]]
+
+    def horizon_at(self, theta: FloatArray) -> float:
+        """The longest of the recordings', s."""
+        return max(self.inner.horizon_at(theta[places]) for places in self._places)
+
+    def prepare(self, record: Record) -> Record:
+        """Each recording as the inner model prepares it."""
+        return joined([self.inner.prepare(each) for each in record.recordings()])
+
+    def initial_states(self, record: Record, windows: Windows) -> FloatArray:
+        """The inner model's, (w, states)."""
+        return np.concatenate(
+            [self.inner.initial_states(share.record, share.windows) for share in self._of(record, windows)]
+        )
+
+    def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
+        """Simulated outputs of all windows, (N, channels)."""
+        found = []
+        for share in self._of(record, windows):
+            own, model = self.of_recording(theta, share.number), self._under(share)
+            found.append(model.simulate(own, share.record, share.windows, states[share.whose]))
+        return np.concatenate(found)
+
+    def coordinates(
+        self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
+    ) -> Mapping[str, FloatArray]:
+        """The inner model's along the simulation, and the number of the recording, each (N,)."""
+        found = []
+        for share in self._of(record, windows):
+            own, model = self.of_recording(theta, share.number), self._under(share)
+            along = model.coordinates(own, share.record, share.windows, states[share.whose])
+            found.append({**along, RECORDING: np.full(len(share.windows.rows), float(share.number))})
+        return _together(found)
+
+    def driven(
+        self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
+    ) -> Mapping[str, FloatArray]:
+        """The inner model's, each (N,)."""
+        found = []
+        for share in self._of(record, windows):
+            own, here = self.of_recording(theta, share.number), _rows_of(along, share.rows)
+            found.append(self.inner.driven(own, share.record, share.windows, here))
+        return _together(found)
+
+    def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
+        """The inner model's in the recording of each sample, (N,) or (N, joints)."""
+        numbers = np.rint(coordinates[RECORDING]).astype(np.int64)
+        edges = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist(), len(numbers)]
+        found = []
+        for rows in (slice(a, b) for a, b in pairwise(edges)):
+            own = self.of_recording(theta, int(numbers[rows.start]))
+            found.append(self.inner.effort(own, _rows_of(coordinates, rows)))
+        return np.concatenate(found)
+
+    def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
+        """Of each the largest that a recording has."""
+        found = [self.inner.yardsticks(each) for each in self._recordings(record)]
+        return {yardstick: max(each[yardstick] for each in found) for yardstick in found[0]}
+
+    def _under(self, share: Share) -> Model:
+        """The model of a recording, under its share of a force beside the model's own."""
+        if self._force is None:
+            return self.inner
+        assert isinstance(self.inner, Yielding)
+        course = self._force.course
+        force = self._force if course is None else replace(self._force, course=course[share.span])
+        return self.inner.with_force(force)
+
+    def _of(self, record: Record, windows: Windows) -> Iterator[Share]:
+        """What windows have of each recording in which some of them lie."""
+        for begin, span, each in zip(record.begins, record.spans, self._recordings(record), strict=True):
+            a, b = np.searchsorted(windows.first, span).tolist()
+            if a == b:
+                continue
+            rows = slice(*np.searchsorted(windows.owner, (a, b)).tolist())
+            own = Windows(
+                windows.first[a:b] - begin.row,
+                windows.last[a:b] - begin.row,
+                windows.rows[rows] - begin.row,
+                windows.owner[rows] - a,
+            )
+            yield Share(begin.number, slice(*span), each, own, slice(a, b), rows)
+
+    def _recordings(self, record: Record) -> tuple[Record, ...]:
+        """The recordings of a record, the same ones every time."""
+        found = self._apart.get(id(record))
+        if found is None or found[0] is not record:
+            found = (record, record.recordings())
+            if len(self._apart) >= REMEMBERED:
+                self._apart.clear()
+            self._apart[id(record)] = found
+        return found[1]
+
+
+class SeveralYieldingModel(SeveralModel):
+    """The same of a model that takes one more force (satisfies ``physics.extra_force.Yielding``)."""
+
+    def __init__(self, inner: Yielding, names: Sequence[str], count: int) -> None:
+        super().__init__(inner, names, count)
+        self.force_unit = inner.force_unit
+        self.moves_by = inner.moves_by
+        self.turn = inner.turn
+
+    def with_force(self, force: ExtraForce) -> SeveralYieldingModel:
+        """The same recordings under one more force; its course, if any, is along the whole record."""
+        other = copy.copy(self)
+        other._force = force
+        return other
+
+
+def several(inner: Model, names: Sequence[str], count: int) -> SeveralModel:
+    """The model of ``count`` recordings of which each has its own of what ``names`` call."""
+    if isinstance(inner, Yielding):
+        return SeveralYieldingModel(inner, names, count)
+    return SeveralModel(inner, names, count)
+
+
+def names_per_recording(model: Model) -> tuple[str, ...]:
+    """What has a value of its own in each recording of a model, as it was named."""
+    return model.names if isinstance(model, SeveralModel) else ()
+
+
+def for_every_recording(model: Model, values: Mapping[str, float]) -> dict[str, float]:
+    """Values by key; what is said of no recording holds for all that have a value of their own."""
+    whole: dict[str, list[str]] = {}
+    for p in model.parameters:
+        if p.recording is not None:
+            whole.setdefault(keyed(p.name, p.joint), []).append(p.key)
+    spread = {key: value for name, value in values.items() for key in whole.get(name, ())}
+    return spread | {name: value for name, value in values.items() if name not in whole}
+
+
+def _named(model: Model, name: str) -> list[Parameter]:
+    """The parameters that a name stands for: those of a term, of all joints or of one, or a single one."""
+    found = [p for p in model.parameters if name in _called(p)]
+    if found:
+        return found
+    fixed = {unkeyed(key)[0] for key in model.fixed} | set(model.fixed)
+    if name in fixed:
+        raise UsageError(
+            f"{name} per recording: the rig file's [known] gives it, and so it is the same in all of them; "
+            "leave it out there to have it estimated"
+        )
+    unseen = {unkeyed(key)[0]: why for key, why in model.never_seen.items()} | dict(model.never_seen)
+    if name in unseen:
+        raise UsageError(f"{name} per recording: these recordings cannot show it: {unseen[name]}")
+    known = {p.name.partition(".")[0] for p in model.parameters} | {p.name for p in model.parameters}
+    raise UnknownNameError(f"term or parameter of {model.kind}", name, known)
+
+
+def _called(parameter: Parameter) -> set[str | None]:
+    """Every name that means a parameter."""
+    term, dot, _ = parameter.name.partition(".")
+    return {parameter.name, parameter.key} | ({term, parameter.term} if dot else set())
+
+
+def _copies(parameter: Parameter, count: int) -> tuple[Parameter, ...]:
+    return tuple(replace(parameter, recording=number) for number in range(1, count + 1))
+
+
+def _places(copies: Sequence[tuple[Parameter, ...]], count: int) -> tuple[IntArray, ...]:
+    """For each recording, where the inner model's parameters stand in the vector of all."""
+    first = np.cumsum([0, *(len(each) for each in copies)])[:-1]
+    own = np.array([len(each) > 1 for each in copies], dtype=bool)
+    return tuple(np.where(own, first + k, first).astype(np.int64) for k in range(count))
+
+
+def _rows_of(along: Mapping[str, FloatArray], rows: slice) -> dict[str, FloatArray]:
+    """Some rows of the inner model's coordinates."""
+    return {name: values[rows] for name, values in along.items() if name != RECORDING}
+
+
+def _together(found: Sequence[Mapping[str, FloatArray]]) -> dict[str, FloatArray]:
+    return {name: np.concatenate([each[name] for each in found]) for name in found[0]}

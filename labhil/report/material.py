@@ -1,0 +1,252 @@
+"""What a result is made from: recordings on disk, their rig, what is learnt from and what is judged on."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from labhil.errors import RecordingError, UsageError
+from labhil.identify.windows import FEWEST_SAMPLES, split
+from labhil.physics.model import Model, Record, joined
+from labhil.physics.rigs import model_for, record_of
+from labhil.physics.several import several
+from labhil.recording.reader import Recording, read_recording
+from labhil.report.results import Source
+from labhil.rig import RigFile, load_rig
+
+HOLDOUT = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class Material:
+    """What a result is made from: the rig's model, the data to learn from and the data to be judged on.
+
+    ``measured`` is what is learnt from and what is held out of it, as it was recorded. Where nothing is
+    ``held_out``, what is judged on is what was learnt from.
+    """
+
+    rig: RigFile
+    model: Model
+    learn: Record
+    judge: Record
+    judge_is_test: bool
+    measured: Record
+    recordings: tuple[tuple[Recording, Record, str], ...]
+    held_out: bool = True
+
+    def sources(self, learning: str) -> list[Source]:
+        """The recordings as results name them; ``learning`` is the role of those that are no tests."""
+        numbers = Counter[str]()
+        several = max(Counter(role for _, _, role in self.recordings).values()) > 1
+        found = []
+        for recording, record, role in self.recordings:
+            numbers[role] += 1
+            found.append(
+                Source(
+                    path=str(recording.path),
+                    sha256=recording.sha256,
+                    rig=self.rig.kind.name,
+                    samples=len(record),
+                    duration=record.duration,
+                    role=role or learning,
+                    start=float(record.t[0]),
+                    recording=numbers[role] if several else None,
+                )
+            )
+        return found
+
+    def numbered(self) -> list[str]:
+        """What the numbers of several recordings stand for, a line each; nothing of one."""
+        return [
+            f"@{source.recording}  {source.path}, {source.duration:.4g} s"
+            + (" (test)" if source.role == "test" else "")
+            for source in self.sources("")
+            if source.recording is not None
+        ]
+
+    def losses(self) -> list[str]:
+        """What the recordings lack, a line each."""
+        return [line for recording, _, _ in self.recordings for line in recording.losses()]
+
+
+def load_material(
+    path: Path | Sequence[Path],
+    rig_path: Path | None = None,
+    test_path: Path | Sequence[Path] | None = None,
+    holdout: float = HOLDOUT,
+    per_recording: Sequence[str] = (),
+    *,
+    span: tuple[float, float] | None = None,
+    all_of_it: bool = False,
+) -> Material:
+    """Read one recording or several, or of each the ``span`` from … to (s), and what is to be judged on.
+
+    Without ``test_path`` the last ``holdout`` of each recording is held out, after a gap of one scored
+    horizon; nothing is where ``holdout`` is 0 and ``all_of_it`` allows that. The rig file is the given one,
+    or the one that the recordings carry. What ``per_recording`` names has a value in each of several
+    recordings. Raises UsageError (RecordingError, RigFileError) with what is missing.
+    """
+    if not (0.05 <= holdout <= 0.9 or (all_of_it and holdout == 0.0)):
+        nothing = ", or 0 to hold nothing out" if all_of_it else ""
+        raise UsageError(f"--holdout: expected a share from 0.05 to 0.9{nothing}, found {holdout:g}")
+    paths, test_paths = _paths(path), _paths(test_path)
+    _refuse_counts(paths, test_paths, per_recording)
+    found = [read_recording(each) for each in paths]
+    _refuse_twice(found)
+    rig = common_rig(found, rig_path)
+    records, measured = _measured(found, rig, span)
+    model = model_for(rig, measured, per_recording)
+    learning = tuple((recording, record, "") for recording, record in zip(found, records, strict=True))
+    if not test_paths and holdout == 0.0:
+        learn = model.prepare(measured)
+        return Material(rig, model, learn, learn, False, measured, learning, held_out=False)
+    if not test_paths:
+        learn, judge = _held_out(model, measured, found, holdout)
+        return Material(rig, model, learn, judge, False, measured, learning)
+    tested = [read_recording(each) for each in test_paths]
+    tests, test = _measured(tested, rig, like=measured, of=found[0])
+    if len(tests) > 1 and len(records) == 1:
+        model = several(model, (), 1)
+    judging = tuple((recording, record, "test") for recording, record in zip(tested, tests, strict=True))
+    learn, judge = model.prepare(measured), model.prepare(test)
+    return Material(rig, model, learn, judge, True, measured, (*learning, *judging))
+
+
+def _measured(
+    recordings: Sequence[Recording],
+    rig: RigFile,
+    span: tuple[float, float] | None = None,
+    like: Record | None = None,
+    of: Recording | None = None,
+) -> tuple[list[Record], Record]:
+    """What a model sees of each recording, and of all of them as one record.
+
+    Raises RecordingError where one has another input than the record ``like`` of the recording ``of``.
+    """
+    records = [_within(record_of(recording, rig.kind), span, recording) for recording in recordings]
+    for recording, record in zip(recordings, records, strict=True):
+        if like is not None and of is not None and record.input_names != like.input_names:
+            raise RecordingError(
+                f"{recording.path}: expected the input {like.input_names[0]} as in {of.path}, "
+                f"found {record.input_names[0]}"
+            )
+    return records, joined(records, [str(recording.path) for recording in recordings])
+
+
+def _within(record: Record, span: tuple[float, float] | None, recording: Recording) -> Record:
+    """The samples of a record within ``span`` (s, both ends counted); UsageError where hardly any are."""
+    if span is None:
+        return record
+    first, last = np.searchsorted(record.t, span[0]), np.searchsorted(record.t, span[1], side="right")
+    if last - first < FEWEST_SAMPLES:
+        raise UsageError(
+            f"--span {span[0]:g} {span[1]:g}: expected at least {FEWEST_SAMPLES} samples of "
+            f"{recording.path}, which reaches from {record.t[0]:g} to {record.t[-1]:g} s, "
+            f"found {max(last - first, 0)}"
+        )
+    return record.part(int(first), int(last))
+
+
+def _held_out(
+    model: Model, measured: Record, recordings: Sequence[Recording], holdout: float
+) -> tuple[Record, Record]:
+    """What is learnt from, and the last share of each recording, both prepared.
+
+    Raises RecordingError where too little is left of a recording.
+    """
+    halves = [split(each, holdout, model.horizon) for each in measured.recordings()]
+    if len(halves) > 1:
+        # before they are put together, which none of them may be missing from
+        for (learn, _), recording in zip(halves, recordings, strict=True):
+            _long_enough(learn, recording)
+    learn, judge = (model.prepare(joined(half)) for half in zip(*halves, strict=True))
+    for part, recording in zip(learn.recordings(), recordings, strict=True):
+        _long_enough(part, recording)
+    return learn, judge
+
+
+def _paths(given: Path | Sequence[Path] | None) -> tuple[Path, ...]:
+    if given is None:
+        return ()
+    return (given,) if isinstance(given, Path) else tuple(given)
+
+
+def _refuse_counts(paths: Sequence[Path], tests: Sequence[Path], per_recording: Sequence[str]) -> None:
+    """Raise UsageError where it is not clear which recording a value belongs to."""
+    if not per_recording:
+        return
+    if len(paths) < 2:
+        raise UsageError(
+            f"--per-recording {','.join(per_recording)}: expected two recordings or more, found one; give "
+            "them one after another"
+        )
+    if tests and len(tests) != len(paths):
+        raise UsageError(
+            f"--test: expected one for each of the {len(paths)} recordings, in their order, since "
+            f"{', '.join(per_recording)} has a value in each of them; found {len(tests)}"
+        )
+
+
+def _refuse_twice(recordings: Sequence[Recording]) -> None:
+    """Raise RecordingError where the same data are to count twice."""
+    seen: dict[str, Path] = {}
+    for recording in recordings:
+        if recording.sha256 in seen:
+            raise RecordingError(
+                f"{recording.path}: the same recording as {seen[recording.sha256]}; give it once, or errors "
+                "come out too small"
+            )
+        seen[recording.sha256] = recording.path
+
+
+RIG_SECTIONS = ("known", "nominal", "metric")
+
+
+def common_rig(recordings: Sequence[Recording], rig_path: Path | None) -> RigFile:
+    """The rig file of all recordings: the given one, or the one that each of them carries.
+
+    Raises RecordingError where these are of different kinds, or state different things of the rig.
+    """
+    rigs = [rig_of(recording, rig_path) for recording in recordings]
+    first, begin = rigs[0], recordings[0]
+    for rig, recording in zip(rigs[1:], recordings[1:], strict=True):
+        if rig.kind.name != first.kind.name:
+            raise RecordingError(
+                f"{recording.path}: expected a recording of {first.kind.name} as {begin.path}, found one of "
+                f"{rig.kind.name}"
+            )
+        for section in RIG_SECTIONS:
+            one, other = (dict(each.model_dump()[section]) for each in (first, rig))
+            for name in sorted(one.keys() | other.keys()):
+                if one.get(name) != other.get(name):
+                    raise RecordingError(
+                        f"{recording.path}: its rig file says [{section}] {name} = {_said(other.get(name))}, "
+                        f"that of {begin.path} {_said(one.get(name))}; give one for all with --rig"
+                    )
+    return first
+
+
+def _said(value: object) -> str:
+    return "nothing" if value is None else str(value)
+
+
+def rig_of(recording: Recording, rig_path: Path | None) -> RigFile:
+    """The rig file at a path, or the one that the recording carries; RecordingError when it carries none."""
+    if rig_path is not None:
+        return load_rig(rig_path)
+    if recording.rig is None:
+        damage = f" ({recording.damage})" if recording.damage else ""
+        raise RecordingError(f"{recording.path}: carries no rig file{damage}; give one with --rig RIG.toml")
+    return recording.rig
+
+
+def _long_enough(learn: Record, recording: Recording) -> None:
+    if len(learn) < 40:
+        raise RecordingError(
+            f"{recording.path}: too short to hold data out: {len(learn)} samples are left to learn from, "
+            "at least 40 are needed; give a separate recording with --test"
+        )
