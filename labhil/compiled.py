@@ -24,6 +24,11 @@ def compiled(function: Function) -> Function:
     return cast(Function, numba.njit(cache=True, **HOW)(function))
 
 
+def apart(function: Function) -> Function:
+    """Compile a function that is seldom called: what calls it stays small, and as fast as without it."""
+    return cast(Function, numba.njit(cache=True, **(HOW | {"forceinline": False}))(function))
+
+
 def specialised(function: Function) -> Function:
     """Compile a function made for one kernel by closing over that kernel's laws, into the kernel.
 

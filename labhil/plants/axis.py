@@ -51,6 +51,7 @@ AXIS = World(
                 "position_dependent_friction": {"slope": 20.0},
                 "load_dependent_friction": {"coefficient": 0.1},
                 "presliding_friction": {"stiffness": 2e6, "damping": 2e3},
+                "maxwell_slip_friction": {"stiffness": 2e6, "damping": 2e3, "attraction": 5e3},
             },
         ),
         "temperature_dependent_friction": Effect("viscous friction that falls with warmth", {"rate": 0.02}),

@@ -57,6 +57,7 @@ MOTOR = World(
                 "position_dependent_friction": {"slope": 0.005},
                 "load_dependent_friction": {"coefficient": 0.1},
                 "presliding_friction": {"stiffness": 40.0, "damping": 0.2},
+                "maxwell_slip_friction": {"stiffness": 40.0, "damping": 0.2, "attraction": 20.0},
             },
         ),
         "temperature_dependent_friction": Effect("viscous friction that falls with warmth", {"rate": 0.02}),

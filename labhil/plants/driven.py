@@ -12,6 +12,7 @@ from labhil.compiled import specialised
 from labhil.errors import UsageError
 from labhil.plants.friction import Friction
 from labhil.plants.input_path import InputPath
+from labhil.plants.maxwell import ROOM
 from labhil.plants.mover import FLOOR, INNER, LAG, SENSOR, STAGES, Body, Work, X, move, mover_for
 from labhil.plants.trajectory import Stamps
 from labhil.plants.way_in import HISTORY, LIMITED, NEWEST, add, command, through
@@ -99,11 +100,13 @@ class Drive:
             raise UsageError(f"time_delay.delay is too long for a sample period of {stamps.period:g} s")
         self.tolerance = body.tolerance
         self._kernel, self._numbers, self._body = kernel, packed(numbers), body
-        self._friction, self._way = packed(Friction.of(values)), packed(self.path)
+        friction = Friction.of(values)
+        self._friction, self._way = packed(friction), packed(self.path)
         self.stamps, self._held = stamps, held
-        n = INNER + len(inner)
+        own = INNER + len(inner)
+        n = own + (ROOM if friction.attraction > 0.0 else 0)
         self._state = np.zeros(n)
-        self._state[X], self._state[INNER:] = place, inner
+        self._state[X], self._state[INNER:own] = place, inner
         self._state[SENSOR] = self._state[body.seen]
         self._mode = np.array([0.0, FIRST_PACE * stamps.period])
         self._clock, self._memory = np.zeros(1), np.zeros(2)

@@ -48,6 +48,12 @@ EFFECTS: Mapping[str, Effect] = {
         "dry friction carried by bristles: stiffness N/m, damping N·s/m (needs a dry friction to carry)",
         {"stiffness": 2000.0, "damping": 10.0},
     ),
+    "maxwell_slip_friction": Effect(
+        "dry friction shared by elements that stick and slip one after the other: stiffness N/m and damping"
+        " N·s/m of all, spread of the stiffest over the softest, attraction N/s of what slips to its level"
+        " (needs a dry friction to carry)",
+        {"stiffness": 2000.0, "damping": 10.0, "spread": 10.0, "attraction": 10.0},
+    ),
     "constant_force": Effect("a force along the beam, N", {"force": 0.03}),
     "spring_force": Effect("a spring towards the pivot, N/m", {"stiffness": 0.5}),
     "added_inertia": Effect("mass that is moved but not pulled by gravity, kg", {"mass": 0.05}),
@@ -85,8 +91,11 @@ POSITIVE = {
     "ball_mass", "ball_radius", "crank_radius", "beam_length", "stop", "adc_bits", "adc_range",
     "stribeck_friction.velocity", "presliding_friction.stiffness", "saturation.limit", "rate_limit.rate",
     "actuator_lag.time_constant", "sensor_lag.time_constant", "hidden_magnet.width",
-    "hidden_sticky_patch.width",
+    "hidden_sticky_patch.width", "maxwell_slip_friction.stiffness", "maxwell_slip_friction.spread",
+    "maxwell_slip_friction.attraction",
 }  # fmt: skip
+CARRIERS = ("presliding_friction", "maxwell_slip_friction")
+"""Effects that take the place of the event-based law of dry friction."""
 LONGEST_DELAY = 2.0
 
 
@@ -150,5 +159,13 @@ def _check(values: Mapping[str, float], chosen: tuple[str, ...]) -> None:
         raise UsageError(f"start_position must lie within ±stop ({values['stop']:g} m)")
     if not 0.0 <= values.get("time_delay.delay", 0.0) <= LONGEST_DELAY:
         raise UsageError(f"time_delay.delay must lie between 0 and {LONGEST_DELAY:g} s")
-    if "presliding_friction" in chosen and not set(DRY) & set(chosen):
-        raise UsageError(f"presliding_friction needs a dry friction to carry; add one of: {', '.join(DRY)}")
+    check_carriers(chosen)
+    for carrier in CARRIERS:
+        if carrier in chosen and not set(DRY) & set(chosen):
+            raise UsageError(f"{carrier} needs a dry friction to carry; add one of: {', '.join(DRY)}")
+
+
+def check_carriers(chosen: Iterable[str]) -> None:
+    """UsageError where more than one effect is to carry the dry friction."""
+    if set(CARRIERS) <= set(chosen):
+        raise UsageError(f"{' and '.join(CARRIERS)} both carry the dry friction; choose one of them")

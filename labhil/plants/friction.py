@@ -1,7 +1,8 @@
-"""Friction of one simulated part: an event-based law, and bristles for presliding.
+"""Friction of one simulated part: an event-based law, and what carries dry friction in presliding.
 
 The event-based law has two modes. A part that moves towards ``side`` (±1) feels the dry level for
-that side; a part at rest (side 0) feels whatever keeps it there, up to the hold.
+that side; a part at rest (side 0) feels whatever keeps it there, up to the hold. Bristles (LuGre), or the
+elements of :mod:`labhil.plants.maxwell`, take the place of that law; both bend up to the same level.
 """
 
 from __future__ import annotations
@@ -13,13 +14,19 @@ from typing import NamedTuple
 from labhil.compiled import compiled
 
 STATIC_VELOCITY = 1e-3
-"""Speed (m/s) over which bristles lose the extra hold at rest."""
+"""Speed (m/s) over which bristles and elements lose the extra hold at rest."""
 LEAST_LEVEL = 1e-9
 """Dry level (N) under which bristles carry nothing."""
+ELEMENTS = 4
+"""How many elements of a generalised Maxwell-slip model share the dry level."""
 
 
 class Friction(NamedTuple):
-    """Strengths of all friction effects (SI); zero where an effect is absent."""
+    """Strengths of all friction effects (SI); zero where an effect is absent.
+
+    Bristles and elements share ``stiffness`` and ``damping``, and only elements have an ``attraction``.
+    ``stiffest`` is the first element's part of the stiffness, ``softening`` each one's over that before.
+    """
 
     viscous: float
     quadratic: float
@@ -33,10 +40,17 @@ class Friction(NamedTuple):
     slope: float
     stiffness: float
     damping: float
+    attraction: float
+    stiffest: float
+    softening: float
 
     @classmethod
     def of(cls, values: Mapping[str, float]) -> Friction:
         """Pick them out of a plant's parameters."""
+        attraction = values.get("maxwell_slip_friction.attraction", 0.0)
+        carrier = "maxwell_slip_friction" if attraction else "presliding_friction"
+        stiffness = values.get(f"{carrier}.stiffness", 0.0)
+        softening = values.get("maxwell_slip_friction.spread", 1.0) ** (-1.0 / (ELEMENTS - 1))
         return cls(
             viscous=values.get("viscous_friction.coefficient", 0.0),
             quadratic=values.get("quadratic_viscous_friction.coefficient", 0.0),
@@ -48,8 +62,11 @@ class Friction(NamedTuple):
             static=values.get("static_friction.level", 0.0),
             asymmetric_level=values.get("friction_asymmetry.level", 0.0),
             slope=values.get("position_dependent_friction.slope", 0.0),
-            stiffness=values.get("presliding_friction.stiffness", 0.0),
-            damping=values.get("presliding_friction.damping", 0.0),
+            stiffness=stiffness,
+            damping=values.get(f"{carrier}.damping", 0.0),
+            attraction=attraction,
+            stiffest=stiffness / sum(softening**i for i in range(ELEMENTS)),
+            softening=softening,
         )
 
 
@@ -93,16 +110,27 @@ def resistance(x: float, v: float, side: float, f: Friction, more: float = 0.0) 
 
 
 @compiled
-def bristle_level(x: float, v: float, f: Friction, more: float = 0.0) -> float:
-    """Return the dry friction (N) that bristles bend up to at velocity v (m/s)."""
-    speed = abs(v)
-    return dry_level(x, speed, side_of(v), f, more) + f.static * math.exp(-speed / STATIC_VELOCITY)
+def on_bristles(f: Friction) -> bool:
+    """Whether bristles carry the dry friction: nothing about it is abrupt."""
+    return f.stiffness > 0.0 and f.attraction == 0.0
 
 
 @compiled
-def relax_bristles(z: float, x: float, v: float, h: float, f: Friction) -> float:
-    """Return the bristles' deflection (m) after h (s) at constant v: ż = v − (σ₀|v|/g)·z, solved exactly."""
-    level = bristle_level(x, v, f)
+def bristle_level(x: float, v: float, side: float, f: Friction, more: float = 0.0) -> float:
+    """Return the dry friction (N) that bristles or elements bend up to at velocity v (m/s)."""
+    speed = abs(v)
+    return dry_level(x, speed, side, f, more) + f.static * math.exp(-speed / STATIC_VELOCITY)
+
+
+@compiled
+def bristle_rate(z: float, v: float, level: float, f: Friction) -> float:
+    """Return how fast bristles bend (m/s), ż = v − (σ₀|v|/g)·z, where they bend up to ``level`` (N)."""
+    return v - f.stiffness * abs(v) / level * z if level > LEAST_LEVEL else 0.0
+
+
+@compiled
+def relax_bristles(z: float, v: float, level: float, h: float, f: Friction) -> float:
+    """Return the bristles' deflection (m) after h (s) at constant v and level, solved exactly."""
     if level < LEAST_LEVEL:
         return 0.0
     rate = f.stiffness * abs(v) / level
@@ -113,9 +141,6 @@ def relax_bristles(z: float, x: float, v: float, h: float, f: Friction) -> float
 
 
 @compiled
-def bristle_force(z: float, x: float, v: float, f: Friction) -> float:
+def bristle_force(z: float, v: float, level: float, f: Friction) -> float:
     """Return the dry friction (N) of bristles bent by z (m): σ₀·z + σ₁·ż."""
-    level = bristle_level(x, v, f)
-    if level < LEAST_LEVEL:
-        return 0.0
-    return f.stiffness * z + f.damping * (v - f.stiffness * abs(v) / level * z)
+    return f.stiffness * z + f.damping * bristle_rate(z, v, level, f) if level > LEAST_LEVEL else 0.0

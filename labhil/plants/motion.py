@@ -16,23 +16,26 @@ from labhil.compiled import compiled
 from labhil.plants.friction import (
     Friction,
     bristle_force,
+    bristle_level,
     hold_level,
     relax_bristles,
     resistance,
     side_of,
     viscous_force,
 )
+from labhil.plants.maxwell import ROOM, elements_force, relax_elements
 from labhil.signals import FloatArray
 
 STANDARD_GRAVITY = 9.81
 LONGEST_STEP = 1e-3
 BRISTLE_STEP = 1e-4
+"""Step (s) of a ball on bristles or elements, which swings on them."""
 BISECTIONS = 45
 SLOWEST_BOUNCE = 5e-3
 """Speed (m/s) below which a ball that meets a stop stays there."""
 
 POSITION, VELOCITY, SIDE, BRISTLE, TILT_RATE = range(5)
-BALL_SIZE = 5
+BALL_SIZE = 5 + ROOM
 
 
 class Mechanics(NamedTuple):
@@ -245,25 +248,43 @@ def move_by_events(
 
 
 @compiled
+def bend(ball: FloatArray, x: float, v: float, h: float, m: Mechanics, f: Friction) -> None:
+    """Let bristles or elements follow a ball at x (m) that moves with v (m/s) for h (s)."""
+    level = bristle_level(x, v, side_of(v), f, sticking(x, m))
+    if f.attraction > 0.0:
+        relax_elements(ball, v, level, h, f)
+    else:
+        ball[BRISTLE] = relax_bristles(ball[BRISTLE], v, level, h, f)
+
+
+@compiled
+def drag(ball: FloatArray, x: float, v: float, m: Mechanics, f: Friction) -> float:
+    """Return the whole friction (N) on a ball at x (m) that moves with v (m/s) on bristles or elements."""
+    if f.attraction > 0.0:
+        return elements_force(ball, v, f) + viscous_force(v, f)
+    level = bristle_level(x, v, side_of(v), f, sticking(x, m))
+    return bristle_force(ball[BRISTLE], v, level, f) + viscous_force(v, f)
+
+
+@compiled
 def move_on_bristles(
     ball: FloatArray, angle: float, turning: float, h: float, m: Mechanics, f: Friction
 ) -> None:
-    """Move the ball over one straight line of the linkage, its dry friction carried by bristles."""
+    """Move the ball over one straight line of the linkage, on bristles or elements."""
     steps = math.ceil(h / BRISTLE_STEP)
     d = h / steps
-    x, v, z = ball[POSITION], ball[VELOCITY], ball[BRISTLE]
+    x, v = ball[POSITION], ball[VELOCITY]
     for i in range(steps):
         middle = angle + (i + 0.5) * d * turning
-        z = relax_bristles(z, x, v, 0.5 * d, f)
-        a = (push(x, middle, turning, m) - bristle_force(z, x, v, f) - viscous_force(v, f)) / m.inertia
+        bend(ball, x, v, 0.5 * d, m, f)
+        a = (push(x, middle, turning, m) - drag(ball, x, v, m, f)) / m.inertia
         x_half, v_half = x + 0.5 * d * v, v + 0.5 * d * a
-        drag = bristle_force(z, x_half, v_half, f) + viscous_force(v_half, f)
-        a = (push(x_half, middle, turning, m) - drag) / m.inertia
+        a = (push(x_half, middle, turning, m) - drag(ball, x_half, v_half, m, f)) / m.inertia
         x, v = x + d * (v + 0.5 * d * a), v + d * a
-        z = relax_bristles(z, x, v, 0.5 * d, f)
+        bend(ball, x, v, 0.5 * d, m, f)
         if abs(x) > m.stop and x * v > 0.0:
             x, v = side_of(x) * m.stop, bounce(v, m)
-    ball[POSITION], ball[VELOCITY], ball[BRISTLE], ball[SIDE] = x, v, z, side_of(v)
+    ball[POSITION], ball[VELOCITY], ball[SIDE] = x, v, side_of(v)
 
 
 @compiled

@@ -4,7 +4,8 @@ The push is a compiled function of a rig: from the states, the input that acts a
 the force without friction, the dry friction beyond that of the general law and what is left of viscous
 friction, and the rates of the rig's own states. A part that moves feels the dry friction of its side, one
 at rest whatever keeps it there. Coming to rest, breaking away and meeting a stop are located by bisection on
-the step. Steps are those of Dormand and Prince, as long as their estimated error allows.
+the step; so is the yielding of an element where elements carry the dry friction. Steps are those of Dormand
+and Prince, as long as their estimated error allows.
 """
 
 from __future__ import annotations
@@ -19,16 +20,29 @@ import numpy as np
 from labhil.compiled import compiled, specialised
 from labhil.plants.friction import (
     Friction,
+    bristle_force,
     bristle_level,
+    bristle_rate,
     hold_level,
+    on_bristles,
     resistance,
     side_of,
     viscous_force,
 )
+from labhil.plants.maxwell import (
+    all_stick,
+    elements_drag,
+    held_force,
+    let_slip,
+    some_yield,
+)
 from labhil.signals import FloatArray
 
 X, V, BRISTLE, LAG, SENSOR, INNER = range(6)
-"""Places of the states: position, velocity, bristles, the lags of the way in and of the sensor, the rig's."""
+"""Places of the states: position, velocity, bristles, the lags of the way in and of the sensor, the rig's.
+
+Elements, where there are some, come behind those of the rig.
+"""
 SIDE, PACE = range(2)
 """Places of the mode: the side towards which the part moves (0 at rest), and the next step's length, s."""
 STAGES = 7
@@ -41,9 +55,6 @@ LEAST_DIP = 1e-9
 """Step (s) below which a velocity that dips under zero and comes back is not looked for."""
 FLOOR = 1e-6
 """Size (SI) of a state below which its errors count as those of one of this size."""
-LEAST_LEVEL = 1e-9
-"""Dry level under which bristles carry nothing."""
-
 
 TIMES = np.array([0.0, 1.0 / 5.0, 3.0 / 10.0, 4.0 / 5.0, 8.0 / 9.0, 1.0, 1.0])
 WEIGHTS = np.array(
@@ -105,13 +116,6 @@ def acting(s: FloatArray, u: float, b: Body) -> float:
     return float(s[LAG]) if b.lag > 0.0 else u
 
 
-@compiled
-def bristle_rate(z: float, x: float, v: float, more: float, f: Friction) -> float:
-    """How fast bristles bend, ż = v − (σ₀|v|/g)·z."""
-    level = bristle_level(x, v, f, more)
-    return v - f.stiffness * abs(v) / level * z if level > LEAST_LEVEL else 0.0
-
-
 def slopes(s: FloatArray, u: float, side: float, b: Body, m: Any, f: Friction, rates: FloatArray) -> None:
     """Rates of all states (n,) of a part that moves towards ``side``, or rests (0)."""
     force, more, thinned = push(s, acting(s, u, b), m, rates)
@@ -119,14 +123,16 @@ def slopes(s: FloatArray, u: float, side: float, b: Body, m: Any, f: Friction, r
     rates[LAG] = (u - s[LAG]) / b.lag if b.lag > 0.0 else 0.0
     rates[SENSOR] = (s[b.seen] - s[SENSOR]) / b.sensor_lag if b.sensor_lag > 0.0 else 0.0
     rates[X], rates[V], rates[BRISTLE] = 0.0, 0.0, 0.0
+    carried = elements_drag(s, x, v, side, more, f, rates) if f.attraction > 0.0 else 0.0
     if side == 0.0:
         return
     drag = (thinned - 1.0) * f.viscous * v
-    if f.stiffness > 0.0:
-        bending = bristle_rate(s[BRISTLE], x, v, more, f)
-        rates[BRISTLE] = bending
-        carried = f.stiffness * s[BRISTLE] + f.damping * bending
-        drag += viscous_force(v, f) + (carried if bristle_level(x, v, f, more) > LEAST_LEVEL else 0.0)
+    if f.attraction > 0.0:
+        drag += viscous_force(v, f) + carried
+    elif f.stiffness > 0.0:
+        level = bristle_level(x, v, side_of(v), f, more)
+        rates[BRISTLE] = bristle_rate(s[BRISTLE], v, level, f)
+        drag += viscous_force(v, f) + bristle_force(s[BRISTLE], v, level, f)
     else:
         drag += resistance(x, v, side, f, more)
     rates[X], rates[V] = v, (force - drag) / b.inertia
@@ -137,9 +143,11 @@ def leaves(s: FloatArray, u: float, b: Body, m: Any, f: Friction, rates: FloatAr
     force, more, _ = push(s, acting(s, u, b), m, rates)
     x = s[X]
     if f.stiffness > 0.0:
-        # bristles hold nothing by themselves: such a part is at rest on a stop only
-        force -= f.stiffness * s[BRISTLE]
+        # what bends holds nothing by itself: such a part is at rest on a stop, or where all is balanced
+        force -= held_force(s) if f.attraction > 0.0 else f.stiffness * s[BRISTLE]
         held = (x >= b.high and force >= 0.0) or (x <= b.low and force <= 0.0)
+        if f.attraction > 0.0:
+            return 0.0 if held else side_of(force)
         return 0.0 if held else 1.0
     if force > hold_level(x, 1.0, f, more) and x < b.high:
         return 1.0
@@ -178,11 +186,18 @@ def error_of(h: float, b: Body, w: Work) -> float:
 def happened(
     y: FloatArray, u: float, side: float, stops: bool, b: Body, m: Any, f: Friction, w: Work
 ) -> bool:
-    """Whether a part at rest has left, or a moving one has turned back, or with ``stops`` met a stop."""
+    """Whether a part at rest has left, or a moving one has turned back or has an element that yields.
+
+    With ``stops``, whether a moving one has met a stop. ``y`` is the end of the last attempt.
+    """
     if side == 0.0:
         return bool(leaves(y, u, b, m, f, w.stages[6]) != 0.0)
     if stops:
         return bool(y[X] > b.high or y[X] < b.low)
+    if on_bristles(f):
+        return False
+    if f.attraction > 0.0 and some_yield(y, side, w.stages[6, y.size - 1]):
+        return True
     return bool(y[V] * side < 0.0)
 
 
@@ -205,7 +220,7 @@ def time_to(
 
 def dips(s: FloatArray, h: float, side: float, f: Friction, w: Work) -> bool:
     """Whether the velocity may have passed zero and come back within the step of h (s)."""
-    if f.stiffness > 0.0 or side == 0.0:
+    if on_bristles(f) or side == 0.0:
         return False
     before, after = w.stages[0, V] * side, w.stages[6, V] * side
     if before >= 0.0 or after <= 0.0 or h < LEAST_DIP:
@@ -215,9 +230,11 @@ def dips(s: FloatArray, h: float, side: float, f: Friction, w: Work) -> bool:
     return bool(side * s[V] + before * meet <= 0.0)
 
 
-def to_rest(mode: FloatArray, w: Work) -> None:
+def to_rest(mode: FloatArray, f: Friction, w: Work) -> None:
     """The part has come to rest at ``w.end``."""
     w.end[V] = 0.0
+    if f.attraction > 0.0:
+        all_stick(w.end)
     mode[SIDE] = 0.0
 
 
@@ -227,7 +244,9 @@ def against_stop(mode: FloatArray, b: Body, f: Friction, w: Work) -> None:
     w.end[X] = b.high if ahead > 0.0 else b.low
     back = b.restitution * abs(w.end[V])
     w.end[V] = -ahead * back if back > SLOWEST_BOUNCE else 0.0
-    mode[SIDE] = side_of(w.end[V]) if f.stiffness == 0.0 or w.end[V] == 0.0 else 1.0
+    mode[SIDE] = 1.0 if on_bristles(f) and w.end[V] != 0.0 else side_of(w.end[V])
+    if f.attraction > 0.0:
+        all_stick(w.end)
 
 
 def to_event(
@@ -240,13 +259,16 @@ def to_event(
             taken = time_to(s, u, rise, h, side, False, b, m, f, w)
             mode[SIDE] = leaves(w.end, u + taken * rise, b, m, f, w.stages[6])
         return taken
-    turns = f.stiffness == 0.0 and happened(w.end, u + h * rise, side, False, b, m, f, w)
-    if turns:
+    breaks = happened(w.end, u + h * rise, side, False, b, m, f, w)
+    if breaks:
         taken = time_to(s, u, rise, h, side, False, b, m, f, w)
         if b.low <= w.end[X] <= b.high:
-            to_rest(mode, w)
+            if w.end[V] * side < 0.0:
+                to_rest(mode, f, w)
+            else:
+                let_slip(w.end, side, w.stages[6, s.size - 1])
             return taken
-    if turns or happened(w.end, u + taken * rise, side, True, b, m, f, w):
+    if breaks or happened(w.end, u + taken * rise, side, True, b, m, f, w):
         taken = time_to(s, u, rise, taken, side, True, b, m, f, w)
         against_stop(mode, b, f, w)
     return taken
@@ -273,11 +295,10 @@ def move(
         if not math.isfinite(w.end[V]):
             s[V] = math.nan
             return
-        moved = mode[SIDE] != 0.0
+        started = mode[SIDE] != 0.0 and s[V] == 0.0
         taken = to_event(s, mode, now, rise, step, b, m, f, w)
-        if moved and taken <= SHORTEST and taken < step:
+        if started and mode[SIDE] == 0.0 and taken <= SHORTEST and taken < step:
             # it came back at once: what moves it away is less than rounding, and it rests
-            mode[SIDE] = 0.0
             attempt(s, now, rise, step, 0.0, b, m, f, w)
             taken = step
         for j in range(s.size):

@@ -61,6 +61,7 @@ SOLENOID = World(
                 "position_dependent_friction": {"slope": 100.0},
                 "load_dependent_friction": {"coefficient": 0.1},
                 "presliding_friction": {"stiffness": 2e5, "damping": 20.0},
+                "maxwell_slip_friction": {"stiffness": 2e5, "damping": 20.0, "attraction": 1e3},
             },
         ),
         "constant_force": Effect("a constant push, N", {"force": 1.0}),

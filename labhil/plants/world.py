@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from labhil.errors import UnknownNameError, UsageError
-from labhil.plants.effects import Effect
+from labhil.plants.effects import Effect, check_carriers
 
 NOT_NEGATIVE = (
     "_noise", "_resolution", "stamp_jitter", "stamp_error", "warming", "cooling", ".delay", ".gap", ".left",
@@ -60,6 +60,7 @@ class World:
             values[name] = float(value)
         for name, value in values.items():
             self._check(name, value)
+        check_carriers(chosen)
         low, high = values.get("stop_low", -math.inf), values.get("stop_high", math.inf)
         if low >= high:
             raise UsageError(f"stop_high must lie above stop_low ({low:g}), found {high:g}")
@@ -100,7 +101,8 @@ SAMPLING: Mapping[str, float] = {
 POSITIVE = frozenset(
     {
         "stribeck_friction.velocity", "presliding_friction.stiffness", "saturation.limit", "rate_limit.rate",
-        "actuator_lag.time_constant", "sensor_lag.time_constant",
+        "actuator_lag.time_constant", "sensor_lag.time_constant", "maxwell_slip_friction.stiffness",
+        "maxwell_slip_friction.spread", "maxwell_slip_friction.attraction",
     }
 )  # fmt: skip
 """Parameters of the effects below that must be larger than zero."""
@@ -124,6 +126,11 @@ FRICTION: Mapping[str, Effect] = {
     ),
     "presliding_friction": Effect(
         "dry friction carried by bristles (LuGre)", {"stiffness": 1.0, "damping": 1.0}
+    ),
+    "maxwell_slip_friction": Effect(
+        "dry friction shared by elements that stick and slip one after the other, with a spread of the"
+        " stiffest over the softest and an attraction per second to the level (generalised Maxwell-slip)",
+        {"stiffness": 1.0, "damping": 1.0, "spread": 10.0, "attraction": 100.0},
     ),
 }
 """Friction laws that every moving part may have; each rig sets its own sizes."""

@@ -13,7 +13,9 @@ G = 9.81
 INERTIA = 0.261 * 1.4
 FAR = {"stop": 50.0, "adc_range": 100.0, "adc_bits": 16}
 EXACT = {"position_noise": 0.0}
-WITHOUT_ZERO = {"presliding_friction", "saturation", "rate_limit", "actuator_lag", "sensor_lag"}
+WITHOUT_ZERO = {
+    "presliding_friction", "maxwell_slip_friction", "saturation", "rate_limit", "actuator_lag", "sensor_lag",
+}  # fmt: skip
 """Effects that are either there or not: their parameters are no strengths."""
 
 

@@ -116,7 +116,10 @@ def test_a_plunger_leaves_a_stop_with_the_restitution_of_its_speed():
     np.testing.assert_allclose(x[back], ways, atol=1e-8)
 
 
-@pytest.mark.parametrize("terms", [(), FRICTION, (*FRICTION, "presliding_friction"), ("end_stop_contact",)])
+CARRIED = ((*FRICTION, "presliding_friction"), (*FRICTION, "maxwell_slip_friction"))
+
+
+@pytest.mark.parametrize("terms", [(), FRICTION, *CARRIED, ("end_stop_contact",)])
 def test_no_plunger_goes_past_its_stops_and_pressed_ones_stay(terms):
     current = np.r_[0.0, np.full(300, 3.0), np.zeros(300)]
     x = SolenoidPlant(QUIET_COIL, terms).simulate(current).truth["plunger_position"]

@@ -26,6 +26,7 @@ WORLDLY = {
     "friction": FRICTION,
     "stiction": (*FRICTION, "static_friction", "friction_asymmetry", "position_dependent_friction"),
     "bristles": (*FRICTION, "presliding_friction"),
+    "elements": (*FRICTION, "maxwell_slip_friction"),
     "way in": (*FRICTION, *WAY_IN, "sensor_lag"),
     "load": (*FRICTION, "load_dependent_friction", "constant_force"),
 }
@@ -228,7 +229,8 @@ def test_a_warm_winding_settles_where_heat_in_is_heat_out():
 
 
 NEUTRAL = {
-    "presliding_friction", "stribeck_friction", "saturation", "rate_limit", "actuator_lag", "sensor_lag",
+    "presliding_friction", "maxwell_slip_friction", "stribeck_friction", "saturation", "rate_limit",
+    "actuator_lag", "sensor_lag",
 }  # fmt: skip
 """Effects with a parameter that must not be zero."""
 

@@ -22,18 +22,20 @@ BITS = (0, 0, 8, 10)
 """Bits of the converter; 0 stands for one that is finer than the noise."""
 SHAPES = (
     ".velocity", ".order", ".phase", ".second", ".width", ".place", ".from", ".speed", ".share",
-    "joint_elasticity.damping",
+    "joint_elasticity.damping", ".spread", ".attraction",
 )  # fmt: skip
 """Endings of parameters that say where or how an effect acts, not how strongly."""
 NOT_SHIFTED = (".phase", ".second", ".share")
-INVERSE = ("saturation.limit", "rate_limit.rate", "presliding_friction.stiffness")
+INVERSE = (
+    "saturation.limit", "rate_limit.rate", "presliding_friction.stiffness", "maxwell_slip_friction.stiffness",
+)  # fmt: skip
 """Parameters of which a smaller value means a stronger effect."""
 SIGNED = (
     "constant_force.force", "sensor_gain.gain", "sensor_nonlinearity.cubic", "residual_magnetism.current",
     "friction_asymmetry.coefficient", "position_dependent_friction.slope", "sensor_offset.offset",
 )  # fmt: skip
 """Parameters that a rig may have with either sign."""
-NEED_DRY = ("presliding_friction", "position_dependent_friction")
+NEED_DRY = ("presliding_friction", "maxwell_slip_friction", "position_dependent_friction")
 """Effects that change dry friction and do nothing, or drive the part, where there is none."""
 DRY = ("coulomb_friction", "stribeck_friction", "load_dependent_friction")
 MEASUREMENT = ("quantisation", "pwm_ripple")

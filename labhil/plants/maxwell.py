@@ -1,0 +1,119 @@
+"""Dry friction shared by elements that stick and slip one by one: the generalised Maxwell-slip model.
+
+Al-Bender, Lampaert and Swevers (2005), IEEE Transactions on Automatic Control 50, 1883–1887. Element i of N
+bears the share αᵢ = 1/N of the dry level s(v):
+
+    it sticks, dFᵢ/dt = kᵢ·v, until sgn(v)·Fᵢ reaches αᵢ·s(v);
+    it slips,  dFᵢ/dt = C·(sgn(v)·αᵢ − Fᵢ/s(v)), until v changes sign.
+
+Stiffnesses kᵢ fall from each element to the next by the same factor, so that one yields after the other. What
+each one holds is kept until it yields: the hysteresis remembers every turning point that no larger swing has
+wiped out. One thing is added: an element that slips is loaded no faster than one that sticks. A part that
+slows down would else be given energy, since the level rises and the attraction does not wait for the way.
+
+The elements are the last ``ROOM`` of a part's states: their forces (N), then for each the side (±1) towards
+which it slips, or 0, and last the level's sum over time (N·s), of which the rate tells the level at a step's
+end. Quantities of a rotor are N·m and rad.
+"""
+
+from __future__ import annotations
+
+import math
+
+from labhil.compiled import apart, compiled
+from labhil.plants.friction import ELEMENTS, Friction, bristle_level, side_of
+from labhil.signals import FloatArray
+
+ROOM = 2 * ELEMENTS + 1
+FASTEST = 1e4
+"""Rate (1/s) of the attraction C/s that is not passed: where the level goes to zero no step would do."""
+
+
+@apart
+def all_stick(s: FloatArray) -> None:
+    """Let every element stick where it is."""
+    for slips in range(s.size - ROOM + ELEMENTS, s.size - 1):
+        s[slips] = 0.0
+
+
+@apart
+def some_yield(s: FloatArray, side: float, level: float) -> bool:
+    """Whether an element that sticks bears more towards ``side`` than its share of the level (N)."""
+    for i in range(s.size - ROOM, s.size - ROOM + ELEMENTS):
+        if s[i + ELEMENTS] != side and side * s[i] * ELEMENTS > level:
+            return True
+    return False
+
+
+@apart
+def let_slip(s: FloatArray, side: float, level: float) -> None:
+    """Let those slip towards ``side`` that bear their share of the level (N); what slipped back sticks."""
+    for i in range(s.size - ROOM, s.size - ROOM + ELEMENTS):
+        if side * s[i] * ELEMENTS >= level:
+            s[i + ELEMENTS] = side
+        elif s[i + ELEMENTS] != side:
+            s[i + ELEMENTS] = 0.0
+
+
+@compiled
+def attraction(level: float, f: Friction) -> float:
+    """Return the rate C/s (1/s) at which an element that slips approaches its share of the level (N)."""
+    return min(f.attraction / level, FASTEST) if level > 0.0 else FASTEST
+
+
+@apart
+def held_force(s: FloatArray) -> float:
+    """Return the force (N) of all elements by their springs."""
+    force = 0.0
+    for i in range(s.size - ROOM, s.size - ROOM + ELEMENTS):
+        force += s[i]
+    return force
+
+
+@apart
+def elements_force(s: FloatArray, v: float, f: Friction) -> float:
+    """Return the dry friction (N) at velocity v (m/s): springs, and the dampers of those that stick."""
+    stiffness, sticking = f.stiffest, 0.0
+    for slips in range(s.size - ROOM + ELEMENTS, s.size - 1):
+        if s[slips] * v <= 0.0:
+            sticking += stiffness
+        stiffness *= f.softening
+    return held_force(s) + f.damping * sticking / f.stiffness * v
+
+
+@apart
+def elements_drag(
+    s: FloatArray, x: float, v: float, side: float, more: float, f: Friction, rates: FloatArray
+) -> float:
+    """Return the dry friction (N) of a part that moves towards ``side``, or rests (0); write its rates (N/s).
+
+    ``more`` (N) is dry friction of a rig's own, as in :func:`labhil.plants.friction.dry_level`.
+    """
+    level = bristle_level(x, v, side, f, more)
+    rates[s.size - 1] = level
+    stiffness, rate, share = f.stiffest, attraction(level, f), level / ELEMENTS
+    for i in range(s.size - ROOM, s.size - ROOM + ELEMENTS):
+        rates[i], rates[i + ELEMENTS] = stiffness * v, 0.0
+        if s[i + ELEMENTS] != 0.0:
+            rates[i] = side * min(rate * (share - side * s[i]), stiffness * abs(v))
+        stiffness *= f.softening
+    return elements_force(s, v, f)
+
+
+@apart
+def relax_elements(s: FloatArray, v: float, level: float, h: float, f: Friction) -> None:
+    """Carry the elements over h (s) at constant v (m/s) and level (N): each solved exactly."""
+    side, share = side_of(v), level / ELEMENTS
+    if side == 0.0:
+        return
+    let_slip(s, side, level)
+    stiffness, left = f.stiffest, math.exp(-attraction(level, f) * h)
+    for i in range(s.size - ROOM, s.size - ROOM + ELEMENTS):
+        before = side * s[i]
+        loaded = before + stiffness * abs(v) * h
+        if s[i + ELEMENTS] != 0.0:
+            loaded = min(share + (before - share) * left, loaded)
+        elif loaded >= share:
+            s[i + ELEMENTS], loaded = side, share
+        s[i] = side * loaded
+        stiffness *= f.softening
