@@ -103,7 +103,8 @@ class Curve:
 class Diagnosis:
     """The answer. ``data`` is "test" or "heldout"; scores are on data that the search never saw.
 
-    ``faults`` are those of the data, whether or not they make them unfit.
+    ``faults`` are those of the data, whether or not they make them unfit. ``shorter`` are scores before and
+    after on windows as short as the search's, where the answer only shows on those.
     """
 
     verdict: str
@@ -128,3 +129,4 @@ class Diagnosis:
     final_fit: Fitted
     curve: Curve | None
     seconds: float
+    shorter: tuple[Score, Score] | None = None

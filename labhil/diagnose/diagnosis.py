@@ -115,7 +115,18 @@ def diagnose(
         final_fit=found.final,
         curve=None if beyond is None else telling.curve(beyond),
         seconds=time.perf_counter() - began,
+        shorter=_on_shorter_windows(data, found, before, after),
     )
+
+
+def _on_shorter_windows(data: Data, found: Found, before: Score, after: Score) -> tuple[Score, Score] | None:
+    """Scores on windows of the search, if the metric's are worse with what was found than without.
+
+    Noise that drives the plant itself outgrows every model on long windows.
+    """
+    if not found.missing or after.rmse < before.rmse or not data.model.state_names:
+        return None
+    return data.judge(found.baseline.theta)[0], data.judge(found.final.theta)[0]
 
 
 def _beyond(data: Data, found: Found) -> tuple[Found, Unmodelled | None]:

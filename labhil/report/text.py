@@ -185,6 +185,14 @@ def show_diagnosis(diagnosis: Diagnosis, console: Console, numbered: Sequence[st
     console.print(diagnosis_text(diagnosis))
 
 
+def _on_shorter(before: Score, after: Score) -> str:
+    return (
+        f"On windows of {after.horizon:.3g} s, as the search uses them: "
+        f"RMSE {before.rmse:.4g} → {after.rmse:.4g}. Longer ones say little here: something that is not "
+        "recorded drives the plant (or errors add up), and outgrows what the models differ in."
+    )
+
+
 def diagnosis_text(diagnosis: Diagnosis) -> RenderableType:
     """A diagnosis as an engineer would report it."""
     parts: list[RenderableType] = [
@@ -233,6 +241,8 @@ def diagnosis_text(diagnosis: Diagnosis) -> RenderableType:
             f"noise floor {after.noise_floor:.4g}; R² {100 * before.r2:.2f} → {100 * after.r2:.2f} %."
         )
     )
+    if diagnosis.shorter is not None:
+        parts.append(Text(_on_shorter(*diagnosis.shorter)))
     parts.append(parameter_table(diagnosis.final, "The model that is left"))
     if diagnosis.excluded:
         parts.append(
