@@ -33,6 +33,9 @@ FALSE_ALARM = 5e-4
 UNEXPLAINED, SURELY_UNEXPLAINED = 1.5, 2.5
 """Errors above the noise floor that no noise makes: with residuals that go with the input, and without."""
 
+MISNAMED = 1.3
+"""The same of terms that were found: the right ones leave noise, wrong ones stand in for a nameless force."""
+
 LASTS = 1.1
 """Factor by which noise on short windows must exceed that of single samples to count."""
 
@@ -142,7 +145,7 @@ def _beyond(data: Data, found: Found) -> tuple[Found, Unmodelled | None]:
     if alone is None:
         return found, beyond
     marks = [bic(each.fit, effective, each.degrees) for each in (alone, beyond)]
-    if marks[0] - marks[1] > NEEDED_BIC:
+    if marks[0] > marks[1]:
         return found, beyond
     return replace(found, final=found.baseline, missing=(), rivals=()), alone
 
@@ -208,9 +211,11 @@ def _verdict(found: Found, changed: tuple[Change, ...], beyond: Unmodelled | Non
 
 
 def _unexplained(found: Found, after: Score) -> bool:
-    """Whether named terms leave more than noise."""
+    """Whether named terms leave more than noise; found ones are doubted sooner than the baseline."""
     excess = after.rmse / after.noise_floor
-    return excess > SURELY_UNEXPLAINED or (excess > UNEXPLAINED and _structured(found.final))
+    if excess > (MISNAMED if found.missing else SURELY_UNEXPLAINED):
+        return True
+    return excess > UNEXPLAINED and _structured(found.final)
 
 
 def _structured(final: Fitted) -> bool:
