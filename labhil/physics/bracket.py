@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from labhil.compiled import compiled
+from labhil.compiled import inlined
 
 LEAST = 1e-6
 """Share of a bracket that is cut off at least."""
@@ -20,14 +20,14 @@ class Bracket(NamedTuple):
     moved: float
 
 
-@compiled
+@inlined
 def crossing(b: Bracket) -> float:
     """Where the straight line between both ends is zero, never an end itself."""
     share = b.at_low / (b.at_low - b.at_high)
     return b.low + min(max(share, LEAST), 1.0 - LEAST) * (b.high - b.low)
 
 
-@compiled
+@inlined
 def narrowed(b: Bracket, place: float, value: float) -> Bracket:
     """The bracket with the end moved to ``place`` whose sign ``value`` has.
 
@@ -41,7 +41,7 @@ def narrowed(b: Bracket, place: float, value: float) -> Bracket:
     return Bracket(b.low, kept, place, value, 1.0)
 
 
-@compiled
+@inlined
 def _share(value: float, before: float) -> float:
     fell = 1.0 - value / before
     return fell if fell > 0.0 else 0.5

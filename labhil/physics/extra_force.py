@@ -15,7 +15,7 @@ from typing import Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from labhil.compiled import compiled, specialised
+from labhil.compiled import inlined, specialised
 from labhil.physics.model import Model, Record
 from labhil.physics.stick_slip import TINY, Course, Follows, Laws, Motion, Part
 from labhil.signals import FloatArray
@@ -126,7 +126,7 @@ class PushedCourse(NamedTuple, Generic[C]):
     along: FloatArray
 
 
-@compiled
+@inlined
 def looked_up(x: float, b: Beyond) -> float:
     """The curve at ``x``: straight between its nodes, constant outside."""
     if b.turn > 0.0:
@@ -142,7 +142,7 @@ def looked_up(x: float, b: Beyond) -> float:
     return (1.0 - share) * b.values[k] + share * b.values[k + 1]
 
 
-@compiled
+@inlined
 def pushes(s: Motion, b: Beyond) -> float:
     """What acts along the positive direction, over the inertia."""
     if b.over == 1:
@@ -152,7 +152,7 @@ def pushes(s: Motion, b: Beyond) -> float:
     return looked_up(s.v, b) if b.over == 3 else b.course
 
 
-@compiled
+@inlined
 def rubs(s: Motion, b: Beyond) -> float:
     """What acts against the motion, over the inertia."""
     if b.over == 2:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labhil.compiled import compiled
+from labhil.compiled import inlined
 from labhil.signals import FloatArray
 
 (
@@ -54,25 +54,25 @@ Law = tuple[float, float, float, float, float, float, float, float, float, float
 """Strengths in the order of the places, as kernels hold them."""
 
 
-@compiled
+@inlined
 def law_of(f: FloatArray) -> Law:
     """The strengths of an array (10,)."""
     return f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8], f[9]
 
 
-@compiled
+@inlined
 def thinned(f: Law, change: float) -> Law:
     """The same law with viscous friction times ``change``."""
     return f[0] * change, f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8], f[9]
 
 
-@compiled
+@inlined
 def hold(x: float, load: float, f: Law) -> float:
     """Largest pull that a part at rest at ``x`` under ``load`` withstands; never negative."""
     return max(f[COULOMB] + f[STRIBECK] + f[STATIC] + f[DRY_SLOPE] * x + f[LOAD_SHARE] * load, 0.0)
 
 
-@compiled
+@inlined
 def friction(x: float, v: float, side: float, load: float, f: Law) -> float:
     """Deceleration of a part that moves towards ``side`` with ``v``; ``load`` is the size of its drive."""
     speed = abs(v)
@@ -83,7 +83,7 @@ def friction(x: float, v: float, side: float, load: float, f: Law) -> float:
     return side * dry + viscous
 
 
-@compiled
+@inlined
 def pace(v: float, pull: float, f: Law) -> float:
     """How long one step may be (s) at acceleration ``pull``: it must not jump over a narrow Stribeck peak."""
     speed = abs(v)

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from labhil.compiled import compiled
+from labhil.compiled import inlined
 from labhil.signals import FloatArray
 
 Nodes = tuple[FloatArray, FloatArray]
 
 
-@compiled
+@inlined
 def with_crossings(t: FloatArray, u: FloatArray, low: float, high: float) -> Nodes:
     """Add nodes where the signal passes the levels ``low`` and ``high``."""
     times, values = np.empty(3 * t.size), np.empty(3 * t.size)
@@ -36,14 +36,14 @@ def with_crossings(t: FloatArray, u: FloatArray, low: float, high: float) -> Nod
     return times[:count], values[:count]
 
 
-@compiled
+@inlined
 def dead_zone(t: FloatArray, u: FloatArray, left: float, right: float) -> Nodes:
     """No output between −left and right, shifted beyond (eq. 4.18 of the reference text)."""
     t, u = with_crossings(t, u, -left, right)
     return t, np.maximum(u - right, 0.0) + np.minimum(u + left, 0.0)
 
 
-@compiled
+@inlined
 def saturation(t: FloatArray, u: FloatArray, inverse_limit: float) -> Nodes:
     """Clip to ±1/inverse_limit; zero means no limit."""
     if inverse_limit <= 0.0:
@@ -53,7 +53,7 @@ def saturation(t: FloatArray, u: FloatArray, inverse_limit: float) -> Nodes:
     return t, np.minimum(np.maximum(u, -limit), limit)
 
 
-@compiled
+@inlined
 def backlash(t: FloatArray, u: FloatArray, gap: float) -> Nodes:
     """Play operator of full width ``gap`` (unit of u); begins in the middle of its play."""
     times, values = np.empty(2 * t.size), np.empty(2 * t.size)
@@ -72,7 +72,7 @@ def backlash(t: FloatArray, u: FloatArray, gap: float) -> Nodes:
     return times[:count], values[:count]
 
 
-@compiled
+@inlined
 def rate_limit(t: FloatArray, u: FloatArray, inverse_rate: float) -> Nodes:
     """Follow u no faster than 1/inverse_rate per second; zero means as fast as it likes."""
     if inverse_rate <= 0.0:
@@ -103,7 +103,7 @@ def rate_limit(t: FloatArray, u: FloatArray, inverse_rate: float) -> Nodes:
     return times[:count], values[:count]
 
 
-@compiled
+@inlined
 def refined(t: FloatArray, u: FloatArray, parts: int) -> Nodes:
     """Cut every stretch into equal parts: for what follows to bend the signal smoothly between samples."""
     n = t.size
@@ -117,7 +117,7 @@ def refined(t: FloatArray, u: FloatArray, parts: int) -> Nodes:
     return times, values
 
 
-@compiled
+@inlined
 def first_order_lag(t: FloatArray, u: FloatArray, time_constant: float) -> FloatArray:
     """Solve T·ẏ + y = u exactly for u that is straight between nodes; begins settled at u[0]."""
     y = u.copy()
@@ -134,7 +134,7 @@ def first_order_lag(t: FloatArray, u: FloatArray, time_constant: float) -> Float
     return y
 
 
-@compiled
+@inlined
 def lag_in_lines(t: FloatArray, u: FloatArray, time_constant: float, parts: int) -> Nodes:
     """Nodes of y from T·ẏ + y = u, each stretch cut into ``parts`` with a straight line in each.
 
@@ -163,7 +163,7 @@ def lag_in_lines(t: FloatArray, u: FloatArray, time_constant: float, parts: int)
     return times[:count], values[:count]
 
 
-@compiled
+@inlined
 def line_through_decay(z: float, decay: float) -> tuple[float, float]:
     """Mean and slope of the straight line that fits e^(−z·s) best for s from 0 to 1; ``decay`` is e^(−z)."""
     if z < 0.02:

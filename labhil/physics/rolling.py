@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from labhil.compiled import compiled
+from labhil.compiled import inlined
 from labhil.physics.bracket import Bracket, crossing, narrowed
 from labhil.physics.extra_force import Beyond
 from labhil.signals import FloatArray, IntArray
@@ -61,7 +61,7 @@ NARROW = 30.0
 INSTANT = 1e-7
 
 
-@compiled
+@inlined
 def beam(crank: Crank, t: float) -> tuple[float, float, float]:
     """sin β, β̇ (rad/s) and β̈ (rad/s²) t s into a stretch, from sin β = ratio·sin γ."""
     angle = crank.angle + t * crank.turning
@@ -71,7 +71,7 @@ def beam(crank: Crank, t: float) -> tuple[float, float, float]:
     return sine, rate, (rate * rate - crank.turning * crank.turning) * sine / cosine
 
 
-@compiled
+@inlined
 def lever(angle: float, ratio: float) -> float:
     """dβ/dγ where the crank stands at ``angle`` (rad)."""
     sine = ratio * np.sin(angle)
@@ -84,7 +84,7 @@ def with_force(k: FloatArray, beyond: Beyond, along: FloatArray) -> FloatArray:
     return np.concatenate([k, head, beyond.values if beyond.over else along])
 
 
-@compiled
+@inlined
 def curve(x: float, k: FloatArray) -> float:
     """The curve at ``x``: straight between its nodes, constant outside, m/s²."""
     place = (x - k[LOW]) * k[PER_UNIT]
@@ -98,7 +98,7 @@ def curve(x: float, k: FloatArray) -> float:
     return (1.0 - share) * k[TABLE + i] + share * k[TABLE + i + 1]
 
 
-@compiled
+@inlined
 def pushes(x: float, v: float, k: FloatArray) -> float:
     """What the curve adds along the beam, m/s²."""
     if k[ACTS] == 1.0:
@@ -108,7 +108,7 @@ def pushes(x: float, v: float, k: FloatArray) -> float:
     return -v * curve(x, k) if k[ACTS] == 5.0 else 0.0
 
 
-@compiled
+@inlined
 def rubs(x: float, v: float, k: FloatArray) -> float:
     """What the curve adds to dry friction, m/s²."""
     if k[ACTS] == 2.0:
@@ -116,7 +116,7 @@ def rubs(x: float, v: float, k: FloatArray) -> float:
     return curve(abs(v), k) if k[ACTS] == 4.0 else 0.0
 
 
-@compiled
+@inlined
 def drive(x: float, sine: float, rate: float, turn: float, k: FloatArray) -> float:
     """Acceleration by everything but friction, m/s²; ``rate`` is β̇ and ``turn`` is β̈."""
     return (
@@ -128,7 +128,7 @@ def drive(x: float, sine: float, rate: float, turn: float, k: FloatArray) -> flo
     )
 
 
-@compiled
+@inlined
 def hold(x: float, k: FloatArray) -> float:
     """Largest drive either way against which the ball stays at rest, m/s²; never negative."""
     level = k[COULOMB] + k[STRIBECK] + k[STATIC] + k[DRY_SLOPE] * x
@@ -137,7 +137,7 @@ def hold(x: float, k: FloatArray) -> float:
     return max(level, 0.0)
 
 
-@compiled
+@inlined
 def friction(x: float, v: float, side: float, k: FloatArray) -> float:
     """Deceleration by friction of a ball that moves towards ``side``, m/s²."""
     speed = abs(v)
@@ -150,14 +150,14 @@ def friction(x: float, v: float, side: float, k: FloatArray) -> float:
     return side * dry + viscous
 
 
-@compiled
+@inlined
 def acceleration(x: float, v: float, side: float, crank: Crank, t: float, k: FloatArray) -> float:
     """Acceleration of a moving ball t s into a stretch, m/s²."""
     sine, rate, turn = beam(crank, t)
     return drive(x, sine, rate, turn, k) - friction(x, v, side, k)
 
 
-@compiled
+@inlined
 def runge_kutta(
     a1: float, x: float, v: float, side: float, crank: Crank, t: float, h: float, k: FloatArray
 ) -> tuple[float, float]:
@@ -172,7 +172,7 @@ def runge_kutta(
     return x + h * (v + 2.0 * v2 + 2.0 * v3 + v4) / 6.0, v + h * (a1 + 2.0 * a2 + 2.0 * a3 + a4) / 6.0
 
 
-@compiled
+@inlined
 def step_length(v: float, pull: float, k: FloatArray) -> float:
     """How far one step may go: the Stribeck peak is narrow and must not be jumped over.
 
@@ -190,7 +190,7 @@ def step_length(v: float, pull: float, k: FloatArray) -> float:
     return max(min(h, 0.5 / (stiffness + 1e-9)), SHORTEST_STEP)
 
 
-@compiled
+@inlined
 def time_to_rest(
     a1: float, x: float, v: float, side: float, crank: Crank, t: float, h: float, k: FloatArray
 ) -> float:
@@ -208,7 +208,7 @@ def time_to_rest(
     return 0.5 * (between.low + between.high)
 
 
-@compiled
+@inlined
 def time_to_break_away(x: float, crank: Crank, t: float, k: FloatArray) -> tuple[float, float]:
     """When a ball at rest starts to move, and towards which side; infinity when the drive recedes.
 
@@ -231,7 +231,7 @@ def time_to_break_away(x: float, crank: Crank, t: float, k: FloatArray) -> tuple
     return np.inf, 0.0
 
 
-@compiled
+@inlined
 def advance(
     x: float, v: float, side: float, crank: Crank, start: float, end: float, k: FloatArray
 ) -> tuple[float, float, float]:
@@ -268,7 +268,7 @@ def advance(
     return x, v, side
 
 
-@compiled
+@inlined
 def simulate(
     t: FloatArray,
     node_t: FloatArray,
@@ -319,7 +319,7 @@ def simulate(
             row += 1
 
 
-@compiled
+@inlined
 def stretch(node_t: FloatArray, angle: FloatArray, ratio: float, node: int) -> tuple[Crank, float]:
     """The crank's motion in the stretch before ``node`` (0: before all, m: after the last), and its start."""
     if node == 0:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from labhil.compiled import compiled
+from labhil.compiled import inlined
 from labhil.physics.extra_force import Beyond, Pushed, PushedCourse, with_extra
 from labhil.physics.friction import RESOLVED, Law, friction, hold, law_of, pace, thinned
 from labhil.physics.stick_slip import TINY, Follows, Laws, Motion, Stops, integrator
@@ -56,13 +56,13 @@ class Course(NamedTuple):
     first: Slider
 
 
-@compiled
+@inlined
 def at(p: Slider, c: Course, k: int) -> Slider:
     """The part between samples k and k + 1."""
     return Slider(p.part, p.table, thinned(c.first.law, c.change[k]))
 
 
-@compiled
+@inlined
 def table_of(c: FloatArray) -> Table:
     """The coefficients of an array (4, 4)."""
     return (
@@ -73,25 +73,25 @@ def table_of(c: FloatArray) -> Table:
     )
 
 
-@compiled
+@inlined
 def power(x: float, c: Row) -> float:
     """Σ c[b]·xᵇ."""
     return c[0] + x * (c[1] + x * (c[2] + x * c[3]))
 
 
-@compiled
+@inlined
 def slope(x: float, c: Row) -> float:
     """d/dx of Σ c[b]·xᵇ."""
     return c[1] + x * (2.0 * c[2] + x * 3.0 * c[3])
 
 
-@compiled
+@inlined
 def driven(u: float, x: float, c: Table) -> float:
     """Σ C[a, b]·uᵃ·xᵇ."""
     return power(x, c[0]) + u * (power(x, c[1]) + u * (power(x, c[2]) + u * power(x, c[3])))
 
 
-@compiled
+@inlined
 def stiffness(u: float, x: float, p: Slider) -> float:
     """How fast the acceleration falls along the way, 1/s²."""
     c, part = p.table, p.part
@@ -100,7 +100,7 @@ def stiffness(u: float, x: float, p: Slider) -> float:
     return abs(part.spring + 3.0 * part.hardening * x * x - rise) + abs(cogging)
 
 
-@compiled
+@inlined
 def pushed(drive: float, x: float, part: Part) -> float:
     """Acceleration by everything but friction, of which ``drive`` is the drive's part, m/s²."""
     push = drive + part.force - x * (part.spring + part.hardening * x * x)
@@ -110,39 +110,39 @@ def pushed(drive: float, x: float, part: Part) -> float:
     return push
 
 
-@compiled
+@inlined
 def pull(s: Motion, side: float, u: float, p: Slider) -> float:
     """Acceleration of a moving part, m/s²."""
     drive = driven(u, s.x, p.table)
     return pushed(drive, s.x, p.part) - friction(s.x, s.v, side, abs(drive), p.law)
 
 
-@compiled
+@inlined
 def grip(s: Motion, u: float, p: Slider) -> tuple[float, float]:
     """Acceleration that a part at rest would have, and the largest that it withstands."""
     drive = driven(u, s.x, p.table)
     return pushed(drive, s.x, p.part), hold(s.x, abs(drive), p.law)
 
 
-@compiled
+@inlined
 def target(s: Motion, u: float, how: Follows, p: Slider) -> float:
     """Nothing follows here."""
     return 0.0
 
 
-@compiled
+@inlined
 def settled(s: Motion, u: float, p: Slider) -> float:
     """Nothing follows here."""
     return 0.0
 
 
-@compiled
+@inlined
 def follow(s: Motion, p: Slider) -> Follows:
     """Nothing follows here."""
     return Follows(0.0, 0.0, 0.0)
 
 
-@compiled
+@inlined
 def longest(
     s: Motion, side: float, u: float, rise: float, since: float, how: Follows, finest: float, p: Slider
 ) -> float:
@@ -160,13 +160,13 @@ run = integrator(LAWS)
 run_pushed = integrator(with_extra(LAWS))
 
 
-@compiled
+@inlined
 def drive(u: float, x: float, c: FloatArray) -> float:
     """The drive Σ C[a, b]·uᵃ·xᵇ of a table ``c`` (4, 4)."""
     return driven(u, x, table_of(c))
 
 
-@compiled
+@inlined
 def accelerations(
     u: FloatArray, x: FloatArray, v: FloatArray, c: FloatArray, p: Part, f: FloatArray
 ) -> FloatArray:
@@ -179,7 +179,7 @@ def accelerations(
     return out
 
 
-@compiled
+@inlined
 def simulate(
     t: FloatArray,
     node_t: FloatArray,
@@ -208,7 +208,7 @@ def simulate(
     run(t, node_t, values, first, last, begun, stops, slider, course, out)
 
 
-@compiled
+@inlined
 def simulate_pushed(
     t: FloatArray,
     node_t: FloatArray,

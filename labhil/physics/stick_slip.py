@@ -17,7 +17,7 @@ from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from labhil.compiled import compiled, specialised
+from labhil.compiled import inlined, specialised
 from labhil.physics.bracket import Bracket, crossing, narrowed
 from labhil.signals import FloatArray, IntArray
 
@@ -95,7 +95,7 @@ class Laws(NamedTuple, Generic[Part, Course]):
     """(part, what changes along the recording, k) to the part as it is between samples k and k + 1."""
 
 
-@compiled
+@inlined
 def answers(y: float) -> tuple[float, float, float, float, float]:
     """How a unit target is followed over a step of y/rate.
 
@@ -114,14 +114,14 @@ def answers(y: float) -> tuple[float, float, float, float, float]:
     return short, 1.0 - 2.0 * short / y, whole, long_ramp, 1.0 - 2.0 * long_ramp / y
 
 
-@compiled
+@inlined
 def shares(y: float) -> tuple[float, float]:
     """(1 − e⁻ʸ)/y and (1 − (1 − e⁻ʸ)/y)/y for a small y, where these forms would cancel."""
     one = 1.0 - y * (0.5 - y * (1.0 / 6.0 - y * (1.0 / 24.0 - y / 120.0)))
     return one, 0.5 - y * (1.0 / 6.0 - y * (1.0 / 24.0 - y * (1.0 / 120.0 - y / 720.0)))
 
 
-@compiled
+@inlined
 def followed(
     a: float, first: float, middle: float, last: float, whole: float, ramp: float, bend: float
 ) -> float:
@@ -289,7 +289,7 @@ def mover(laws: Laws[Part, Course], step: Step[Part]) -> Stage[Part]:
     return move
 
 
-@compiled
+@inlined
 def torn(x: float, grip: tuple[float, float], stops: Stops) -> float:
     """The side towards which a resting part is torn away; 0 where it holds, or leans on a stop."""
     pull, level = grip
@@ -330,7 +330,7 @@ def advancer(laws: Laws[Part, Course]) -> Callable[..., tuple[Motion, float]]:
     return advance
 
 
-@compiled
+@inlined
 def stretch(node_t: FloatArray, values: FloatArray, node: int, now: float) -> tuple[float, float]:
     """Input at ``now`` and its rise per second in the stretch before ``node`` (0: before all)."""
     if node == 0:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from labhil.compiled import compiled
+from labhil.compiled import inlined
 from labhil.physics.extra_force import Beyond, Pushed, PushedCourse, with_extra
 from labhil.physics.friction import RESOLVED, Law, friction, hold, law_of, pace, thinned
 from labhil.physics.stick_slip import FINEST, NO_STOPS, TINY, Follows, Laws, Motion, integrator
@@ -56,14 +56,14 @@ class Course(NamedTuple):
     cold: Rotor
 
 
-@compiled
+@inlined
 def at(r: Rotor, c: Course, k: int) -> Rotor:
     """The motor between samples k and k + 1."""
     cold = c.cold
     return Rotor(cold.motor, cold.resistance * c.warm[k], thinned(cold.law, c.change[k]))
 
 
-@compiled
+@inlined
 def follow(s: Motion, r: Rotor) -> Follows:
     """Rate of the current, the resistance that damps it (Ω; near zero brushes add to it), their drop, V."""
     m = r.motor
@@ -76,7 +76,7 @@ def follow(s: Motion, r: Rotor) -> Follows:
     return Follows(damping / m.inductance if m.inductance > 0.0 else np.inf, damping, bias)
 
 
-@compiled
+@inlined
 def settled(s: Motion, u: float, r: Rotor) -> float:
     """Current (A) that flows when the inductance has no say."""
     m = r.motor
@@ -89,7 +89,7 @@ def settled(s: Motion, u: float, r: Rotor) -> float:
     return volts / r.resistance
 
 
-@compiled
+@inlined
 def target(s: Motion, u: float, how: Follows, r: Rotor) -> float:
     """The current towards which the present one moves, A."""
     if how.rate == np.inf:
@@ -97,7 +97,7 @@ def target(s: Motion, u: float, how: Follows, r: Rotor) -> float:
     return (u - r.motor.constant * s.v - how.bias) / how.gauge
 
 
-@compiled
+@inlined
 def pull_of(i: float, angle: float, m: Motor) -> float:
     """Angular acceleration by everything but friction, rad/s²."""
     pull = m.constant * i / m.inertia - m.load - m.spring * angle
@@ -107,25 +107,25 @@ def pull_of(i: float, angle: float, m: Motor) -> float:
     return pull
 
 
-@compiled
+@inlined
 def load_of(i: float, m: Motor) -> float:
     """Size of the drive, rad/s²."""
     return abs(m.constant * i) / m.inertia
 
 
-@compiled
+@inlined
 def pull(s: Motion, side: float, u: float, r: Rotor) -> float:
     """Angular acceleration of a turning rotor, rad/s²."""
     return pull_of(s.a, s.x, r.motor) - friction(s.x, s.v, side, load_of(s.a, r.motor), r.law)
 
 
-@compiled
+@inlined
 def grip(s: Motion, u: float, r: Rotor) -> tuple[float, float]:
     """Angular acceleration that a rotor at rest would have, and the largest that it withstands."""
     return pull_of(s.a, s.x, r.motor), hold(s.x, load_of(s.a, r.motor), r.law)
 
 
-@compiled
+@inlined
 def longest(
     s: Motion, side: float, u: float, rise: float, since: float, how: Follows, finest: float, r: Rotor
 ) -> float:
@@ -158,7 +158,7 @@ run = integrator(LAWS)
 run_pushed = integrator(with_extra(LAWS))
 
 
-@compiled
+@inlined
 def accelerations(i: FloatArray, angle: FloatArray, w: FloatArray, m: Motor, f: FloatArray) -> FloatArray:
     """Angular accelerations of turning rotors at many places at once, rad/s²; zero where the rotor rests."""
     out = np.zeros(w.size)
@@ -170,7 +170,7 @@ def accelerations(i: FloatArray, angle: FloatArray, w: FloatArray, m: Motor, f: 
     return out
 
 
-@compiled
+@inlined
 def simulate(
     t: FloatArray,
     node_t: FloatArray,
@@ -200,7 +200,7 @@ def simulate(
         out[row, 0], out[row, 1], out[row, 2] = out[row, 1], out[row, 2], out[row, 0]
 
 
-@compiled
+@inlined
 def simulate_pushed(
     t: FloatArray,
     node_t: FloatArray,

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 
-from labhil.compiled import apart, compiled
+from labhil.compiled import compiled
 from labhil.plants.friction import ELEMENTS, Friction, bristle_level, side_of
 from labhil.signals import FloatArray
 
@@ -29,14 +29,14 @@ FASTEST = 1e4
 """Rate (1/s) of the attraction C/s that is not passed: where the level goes to zero no step would do."""
 
 
-@apart
+@compiled
 def all_stick(s: FloatArray) -> None:
     """Let every element stick where it is."""
     for slips in range(s.size - ROOM + ELEMENTS, s.size - 1):
         s[slips] = 0.0
 
 
-@apart
+@compiled
 def some_yield(s: FloatArray, side: float, level: float) -> bool:
     """Whether an element that sticks bears more towards ``side`` than its share of the level (N)."""
     for i in range(s.size - ROOM, s.size - ROOM + ELEMENTS):
@@ -45,7 +45,7 @@ def some_yield(s: FloatArray, side: float, level: float) -> bool:
     return False
 
 
-@apart
+@compiled
 def let_slip(s: FloatArray, side: float, level: float) -> None:
     """Let those slip towards ``side`` that bear their share of the level (N); what slipped back sticks."""
     for i in range(s.size - ROOM, s.size - ROOM + ELEMENTS):
@@ -61,7 +61,7 @@ def attraction(level: float, f: Friction) -> float:
     return min(f.attraction / level, FASTEST) if level > 0.0 else FASTEST
 
 
-@apart
+@compiled
 def held_force(s: FloatArray) -> float:
     """Return the force (N) of all elements by their springs."""
     force = 0.0
@@ -70,7 +70,7 @@ def held_force(s: FloatArray) -> float:
     return force
 
 
-@apart
+@compiled
 def elements_force(s: FloatArray, v: float, f: Friction) -> float:
     """Return the dry friction (N) at velocity v (m/s): springs, and the dampers of those that stick."""
     stiffness, sticking = f.stiffest, 0.0
@@ -81,7 +81,7 @@ def elements_force(s: FloatArray, v: float, f: Friction) -> float:
     return held_force(s) + f.damping * sticking / f.stiffness * v
 
 
-@apart
+@compiled
 def elements_drag(
     s: FloatArray, x: float, v: float, side: float, more: float, f: Friction, rates: FloatArray
 ) -> float:
@@ -100,7 +100,7 @@ def elements_drag(
     return elements_force(s, v, f)
 
 
-@apart
+@compiled
 def relax_elements(s: FloatArray, v: float, level: float, h: float, f: Friction) -> None:
     """Carry the elements over h (s) at constant v (m/s) and level (N): each solved exactly."""
     side, share = side_of(v), level / ELEMENTS

@@ -104,7 +104,7 @@ def test_no_window_reaches_from_one_recording_into_the_next(lengths, window, per
     alone = np.concatenate([each.last - each.first for each in (fit_windows(each, window) for each in given)])
     # a border that falls upon a sample may be rounded to either side of it
     assert len(alone) == len(cut)
-    assert np.abs(cut.last - cut.first - alone).max() <= 1
+    assert np.abs(cut.last - cut.first - alone).max() <= 2
     horizon = min(window, 0.3 * min(each.duration for each in given))
     scored = scored_windows(record, horizon)
     for windows in (cut, scored.lead, scored.whole, all_of(record).whole):

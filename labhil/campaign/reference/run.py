@@ -44,6 +44,9 @@ PATIENCE = 2.0
 _told: Any = None
 """The queue on which a worker process tells how far it is."""
 
+_parent = 0
+"""The process that a worker works for."""
+
 
 def run_reference(
     tables: Sequence[str] = NUMBERS,
@@ -190,21 +193,25 @@ def _nothing_left() -> Iterator[None]:
 
 def _begin(told: Any) -> None:
     """Set a worker process up: Ctrl+C is the parent's to handle."""
-    global _told  # noqa: PLW0603 - a worker process has one queue, handed to it once
+    global _told, _parent
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _told = told
+    _told, _parent = told, os.getppid()
 
 
 def _one(job: Job, seed: int, effort: Effort) -> Part:
     last = [0.0]
-    parent = os.getppid()
+
+    def wanted() -> None:
+        # what was queued before the parent died must not be begun either
+        if os.getppid() != _parent:
+            raise RunStoppedError("the process that asked for this part is gone")
 
     def tell(text: str) -> None:
         now = time.monotonic()
-        if os.getppid() != parent:
-            raise RunStoppedError("the process that asked for this part is gone")
+        wanted()
         if now - last[0] >= PATIENCE:
             last[0] = now
             _told.put(text)
 
+    wanted()
     return compute(job, seed, effort, tell)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labhil.compiled import compiled
+from labhil.compiled import inlined
 from labhil.signals import FloatArray
 
 
@@ -68,7 +68,7 @@ def directions(q: FloatArray, qd: FloatArray, length: float) -> FloatArray:
     return out
 
 
-@compiled
+@inlined
 def turn(q: FloatArray, qd: FloatArray, length: float, out: FloatArray) -> None:
     """Fill ``out`` (n,); see :func:`directions`."""
     s = np.sign(qd[0])

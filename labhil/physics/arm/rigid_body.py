@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labhil.compiled import compiled
+from labhil.compiled import inlined
 from labhil.kinds import JOINTS
 from labhil.physics.arm.links import PER_LINK, Links
 from labhil.signals import FloatArray
@@ -35,7 +35,7 @@ def regressor(
     return out
 
 
-@compiled
+@inlined
 def columns_of_links(
     d: FloatArray,
     a: FloatArray,
@@ -69,7 +69,7 @@ def columns_of_links(
                     out[n, j, 10 * i + c] = wrench[5, c]
 
 
-@compiled
+@inlined
 def _turn(q: float, alpha: float, rotation: FloatArray) -> None:
     """Rotation of frame i as seen from frame i − 1."""
     cq, sq, ca, sa = np.cos(q), np.sin(q), np.cos(alpha), np.sin(alpha)
@@ -78,7 +78,7 @@ def _turn(q: float, alpha: float, rotation: FloatArray) -> None:
     rotation[2, 0], rotation[2, 1], rotation[2, 2] = 0.0, sa, ca
 
 
-@compiled
+@inlined
 def _next(
     r: FloatArray, p: FloatArray, qd: float, qdd: float, w: FloatArray, dw: FloatArray, acc: FloatArray
 ) -> None:
@@ -97,7 +97,7 @@ def _next(
     acc[2] += dw[0] * p[1] - dw[1] * p[0] + w[2] * dot - p[2] * square
 
 
-@compiled
+@inlined
 def _newton_euler(w: FloatArray, dw: FloatArray, acc: FloatArray, wrench: FloatArray) -> None:
     """Force (rows 0–2) and moment about the frame's origin (rows 3–5) by each of the ten parameters."""
     wx, wy, wz = w[0], w[1], w[2]
@@ -119,7 +119,7 @@ def _newton_euler(w: FloatArray, dw: FloatArray, acc: FloatArray, wrench: FloatA
     wrench[5, 7], wrench[5, 8], wrench[5, 9] = wx * wx - wy * wy, bx - wy * wz, by + wx * wz
 
 
-@compiled
+@inlined
 def _carry(r: FloatArray, p: FloatArray, wrench: FloatArray) -> None:
     """Turn forces and moments about the origin of frame j into those about the origin of frame j − 1.
 
