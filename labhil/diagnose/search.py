@@ -176,6 +176,8 @@ class Hunt:
         short = trail.current
         longest = replace(self.data, window=self._reach(LONGER[-1]))
         trail.current = _onward(longest, short)
+        # what gave way on short windows may be right on long ones
+        trail.been = {frozenset(short.terms)}
         onward = replace(self, data=longest, baseline=_onward(longest, self.baseline))
         onward.follow(trail, only_promising=True)
         # noise that drives the plant itself, or a force without a name, biases what long windows say
