@@ -42,7 +42,7 @@ class Intervals(StrEnum):
 def interval_method(name: str) -> Intervals:
     """The method of that name; UnknownNameError lists those that exist."""
     if name not in set(Intervals):
-        raise UnknownNameError("interval method", name, list(Intervals))
+        raise UnknownNameError("interval method", name, [each.value for each in Intervals])
     return Intervals(name)
 
 
