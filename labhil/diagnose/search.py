@@ -19,6 +19,7 @@ from labhil.diagnose.judge import NEEDED_BIC, Data, compare, supported
 from labhil.diagnose.screen import Candidate, Progress, Screen, candidates, rank
 from labhil.identify.fitted import WORST_GROWTH, Fitted, climb, covariances, fit_terms
 from labhil.identify.intervals import quantile
+from labhil.identify.score import Score
 from labhil.physics.model import Model, index_of
 
 SETTLED = 1.05
@@ -124,9 +125,8 @@ def search(data: Data, baseline: Fitted, progress: Progress) -> Found:
         hunt.follow(trail)
         if data.model.state_names:
             progress("refitting on longer windows")
-            data = hunt.follow_on_longer_windows(trail)
+            data, baseline = hunt.follow_on_longer_windows(trail)
             trail.current = hunt.pruned(data, trail.current)
-            baseline = _onward(data, baseline)
     current, kept = _supported_only(data, baseline, trail.current, looks)
     rivals = tuple(r for r in trail.rivals if r.instead_of in current.terms)
     # of the first step when something was found, else of the last, which found nothing to add
@@ -171,8 +171,11 @@ class Hunt:
                 return
             self.progress(f"found {', '.join(t for t in trail.current.terms if t not in self.base)}")
 
-    def follow_on_longer_windows(self, trail: Trail) -> Data:
-        """Go on from there on the longest windows; the data with those that the answer stands on."""
+    def follow_on_longer_windows(self, trail: Trail) -> tuple[Data, Fitted]:
+        """Go on from there on the longest windows; the data with those that the answer stands on.
+
+        With the baseline refitted to these.
+        """
         short = trail.current
         longest = replace(self.data, window=self._reach(LONGER[-1]))
         trail.current = _onward(longest, short)
@@ -182,13 +185,13 @@ class Hunt:
         onward.follow(trail, only_promising=True)
         # noise that drives the plant itself, or a force without a name, biases what long windows say
         if trail.current.noise <= WORST_GROWTH * short.noise:
-            return longest
+            return longest, onward.baseline
         middle = replace(self.data, window=self._reach(LONGER[0]))
         trail.current = _onward(middle, short)
         if trail.current.noise <= WORST_GROWTH * short.noise:
-            return middle
+            return middle, _onward(middle, self.baseline)
         trail.current = short
-        return self.data
+        return self.data, _onward(self.data, self.baseline)
 
     def pruned(self, data: Data, current: Fitted) -> Fitted:
         """Without the found terms that these data no longer need."""
@@ -325,10 +328,11 @@ def _swap(
         if not groups:
             continue
         progress(f"weighing {', '.join(group[-1] for group in groups)} instead of {term}")
-        effective = effective_samples(current)
+        effective, scores = effective_samples(current), data.judge(current.theta)
         for trial in confirm(data, reduced, groups, executor, HOPELESS * current.solution.cost)[:FINALISTS]:
             rival, delta = trial.terms[-1], bic(trial, effective) - bic(current, effective)
-            if frozenset(trial.terms) not in trail.been and _preferred(data, current, trial, delta):
+            new = frozenset(trial.terms) not in trail.been
+            if new and _preferred(scores, data.judge(trial.theta), delta):
                 rivals.append(Rival(term, rival, -delta))
                 current = trial
                 break
@@ -356,9 +360,9 @@ def _hopeful(
     return [groups[i] for i in np.argsort(promises)[::-1][:most] if promises[i] > wanted]
 
 
-def _preferred(data: Data, before: Fitted, after: Fitted, delta_bic: float) -> bool:
+def _preferred(before: Sequence[Score], after: Sequence[Score], delta_bic: float) -> bool:
     """Whether search and held-out data together prefer ``after``: what the one cannot tell the other may."""
-    pairs = zip(data.judge(before.theta), data.judge(after.theta), strict=True)
+    pairs = zip(before, after, strict=True)
     most_telling = max((heldout_gain(b, a)[0] for b, a in pairs), key=abs)
     return delta_bic - 2.0 * most_telling < 0.0
 

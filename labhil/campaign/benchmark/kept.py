@@ -8,11 +8,14 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from labhil.report.results import finite
 
-Result = TypeVar("Result")
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+Result = TypeVar("Result", bound="DataclassInstance")
 Job = tuple[Any, ...]
 """The arguments of one piece of work, its name first."""
 
@@ -41,7 +44,7 @@ def each_once(
             try:
                 for count, future in enumerate(as_completed(futures), 1):
                     result = future.result()
-                    file.write(json.dumps(finite(asdict(result)), ensure_ascii=False) + "\n")  # type: ignore[call-overload]
+                    file.write(json.dumps(finite(asdict(result)), ensure_ascii=False) + "\n")
                     file.flush()
                     done[job_of(result)] = result
                     progress(f"{missing[0][0]}: {count} of {len(missing)}")
