@@ -10,10 +10,11 @@ from scipy import stats
 from labhil.diagnose.evidence import bic
 from labhil.identify.extended import NAME, Coordinate, ExtendedModel
 from labhil.identify.fitted import Fitted
-from labhil.identify.least_squares import Solution, fit_states, search_states
+from labhil.identify.least_squares import Solution
 from labhil.identify.penalised import Projected, minimise
 from labhil.identify.problem import Point, Problem
 from labhil.identify.spline import Spline
+from labhil.identify.window_states import fit_states, search_states
 from labhil.identify.windows import fit_windows
 from labhil.physics.extra_force import Over, Yielding
 from labhil.physics.model import Windows

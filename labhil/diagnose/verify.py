@@ -19,10 +19,11 @@ from labhil.diagnose.evidence import effective_samples
 from labhil.identify.fit import WINDOW_IN_HORIZONS
 from labhil.identify.fitted import Fitted, covariances, free_of
 from labhil.identify.identifiability import lost_directions
-from labhil.identify.least_squares import fit_states, least_squares, rescue_states
+from labhil.identify.least_squares import least_squares
 from labhil.identify.problem import Point, Problem
 from labhil.identify.score import Score, score
 from labhil.identify.sensitivities import sensitivities
+from labhil.identify.window_states import fit_states, rescue_states
 from labhil.identify.windows import fit_windows, noise_of
 from labhil.physics.model import Metric, Model, Record
 from labhil.physics.terms import keyed

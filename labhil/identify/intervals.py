@@ -14,10 +14,11 @@ import numpy as np
 from scipy import stats
 
 from labhil.errors import UnknownNameError
-from labhil.identify.least_squares import Solution, least_squares, search_states
+from labhil.identify.least_squares import Solution, least_squares
 from labhil.identify.problem import Point, Problem
 from labhil.identify.sensitivities import sensitivities
 from labhil.identify.statistics import ALPHA, bandwidth, inverse_information, runs
+from labhil.identify.window_states import search_states
 from labhil.signals import FloatArray
 
 DRAWS = 2000

@@ -1,7 +1,6 @@
 """Levenberg and Marquardt's least squares with bounds, over parameters and the states of all windows.
 
-The states are nested: after every step of the parameters each window improves its own state with a
-damping of its own, so that one window at a stop or a reversal does not hold back all the others.
+The states are nested (``window_states``): after every step of the parameters each window may improve its own.
 """
 
 from __future__ import annotations
@@ -12,28 +11,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from labhil.identify.problem import Linearised, Point, Problem
+from labhil.identify.window_states import States, fit_states, polished, rescued_states, search_states, tried
 from labhil.signals import FloatArray
-
-POLISH = 1
-"""Steps that each window takes by itself after a step of the parameters."""
-
-OUTLYING = 2.0
-"""Windows that cost this many times the median are looked at again."""
-
-OTHER_VELOCITIES = (-0.8, -0.4, -0.2, 0.2, 0.4, 0.8)
-"""Where they begin anew, in scales of the state beside the measured velocity."""
-
-TRIALS = 12
-"""States that are tried anew in every window when a fit settles."""
-
-NEAR, FAR = 0.05, 0.5
-"""How far from the best so far they begin, in scales of the state: two thirds near, one third far."""
 
 SHAKES = 4
 """Times that a settled fit is pushed away, by about its own uncertainty, to see where it comes back to."""
 
 SAME = 0.3
 """Costs that differ by less, in mean squared residuals (at least in squares of noise), are one minimum."""
+
+MOST_DAMPING = 1e4
+"""A step as short as this lets nobody come any lower."""
 
 WORTH = 0.5
 """A step that lowers the cost by less than this share of what it promised is polished."""
@@ -75,16 +63,15 @@ def least_squares(
     # The measurement is a candidate too: a window that once was taken for a body at rest has no slope
     # by which it would ever move again.
     if settled:
-        states = polish_states(problem, z, start.states, problem.guess)
+        begun = polished(problem, z, tried(problem, z, start.states), tried(problem, z, problem.guess))
     else:
-        states = fit_states(problem, z, start.states)
-    states = rescue_states(problem, z, states) if thorough else states
-    point = Point(z, states)
-    residuals = problem.residuals(point)
+        begun = tried(problem, z, fit_states(problem, z, start.states))
+    begun = rescued_states(problem, z, begun) if thorough else begun
+    point, residuals = Point(z, begun.states), begun.residuals
     damping = 1e-3
     for iteration in range(iterations):
         cost = float(residuals @ residuals)
-        found = _lower(problem, point, residuals, damping)
+        found = _lower(problem, point, residuals, damping, tolerance)
         if found is None and thorough:
             found = _rescued(problem, point, residuals)
         if found is None:
@@ -133,34 +120,16 @@ def _deepened(problem: Problem, solution: Solution, same: float, random: np.rand
     return best
 
 
-def search_states(
-    problem: Problem, z: FloatArray, states: FloatArray, random: np.random.Generator, trials: int = TRIALS
-) -> FloatArray:
-    """Every window's best initial state among many local minima near it, (W, S); parameters held."""
-    every = np.ones(states.shape[1], dtype=bool)
-    best, costs = states, _window_costs(problem, z, states)
-    for k in range(trials if states.shape[1] else 0):
-        centre = problem.guess if k % 2 else best
-        reach = (FAR if k % 3 == 0 else NEAR) * problem.model.state_scale
-        trial = centre + random.standard_normal(best.shape) * reach
-        trial = _damped_states(problem, z, trial, 4, every)
-        trial_costs = _window_costs(problem, z, trial)
-        better = trial_costs < costs
-        best, costs = np.where(better[:, None], trial, best), np.where(better, trial_costs, costs)
-    return best
-
-
 def _rescued(problem: Problem, point: Point, residuals: FloatArray) -> tuple[Point, FloatArray, float] | None:
     """The same parameters with better states of outlying windows, or None when there are none."""
-    trial = Point(point.z, rescue_states(problem, point.z, point.states))
-    trial_residuals = problem.residuals(trial)
-    if trial_residuals @ trial_residuals < 0.999 * (residuals @ residuals):
-        return trial, trial_residuals, 1e-3
+    rescued = rescued_states(problem, point.z, States(point.states, residuals))
+    if rescued.residuals @ rescued.residuals < 0.999 * (residuals @ residuals):
+        return Point(point.z, rescued.states), rescued.residuals, 1e-3
     return None
 
 
 def _lower(
-    problem: Problem, point: Point, residuals: FloatArray, damping: float
+    problem: Problem, point: Point, residuals: FloatArray, damping: float, tolerance: float
 ) -> tuple[Point, FloatArray, float] | None:
     """A point of lower cost, its residuals and the next damping; None when no damping finds one.
 
@@ -169,16 +138,15 @@ def _lower(
     """
     lin = problem.linearise(point, residuals)
     cost = float(residuals @ residuals)
-    while damping < 1e6:
+    while damping < MOST_DAMPING:
         trial, promised = _step(problem, point, lin, damping)
-        trial_residuals = problem.residuals(trial)
-        lowered = cost - float(trial_residuals @ trial_residuals)
-        if lowered < WORTH * promised:
-            trial = Point(trial.z, polish_states(problem, trial.z, trial.states, point.states))
-            trial_residuals = problem.residuals(trial)
-            lowered = cost - float(trial_residuals @ trial_residuals)
-        if lowered > 0.0:
-            return trial, trial_residuals, max(0.1 * damping, 1e-8)
+        if abs(promised) < tolerance * cost:
+            return None
+        reached = tried(problem, trial.z, trial.states)
+        if cost - reached.cost < WORTH * promised:
+            reached = polished(problem, trial.z, reached, tried(problem, trial.z, point.states))
+        if reached.cost < cost:
+            return Point(trial.z, reached.states), reached.residuals, max(0.1 * damping, 1e-8)
         damping *= 8.0
     return None
 
@@ -213,86 +181,3 @@ def _parameter_step(problem: Problem, point: Point, lin: Linearised, damping: fl
     if len(moving):
         z[moving] -= np.linalg.solve(normal[np.ix_(moving, moving)], gradient[moving])
     return np.clip(z, problem.lower, problem.upper)
-
-
-def polish_states(problem: Problem, z: FloatArray, *candidates: FloatArray) -> FloatArray:
-    """Begin each window at the best of these states, and improve it by itself."""
-    if not problem.model.state_names:
-        return candidates[0]
-    choices = np.stack(candidates)
-    costs = np.stack([_window_costs(problem, z, candidate) for candidate in choices])
-    begin = choices[np.argmin(costs, axis=0), np.arange(choices.shape[1])]
-    return _damped_states(problem, z, begin, POLISH, np.ones(begin.shape[1], dtype=bool))
-
-
-def fit_states(problem: Problem, z: FloatArray, states: FloatArray, *, iterations: int = 8) -> FloatArray:
-    """Find each window's initial state by itself with the parameters held at ``z``, (W, S).
-
-    Rest is one hypothesis: where a window is explained about as well by a body that is not moving,
-    its velocity is zero.
-    """
-    if not states.shape[1]:
-        return states
-    every = np.ones(states.shape[1], dtype=bool)
-    free = _damped_states(problem, z, states, iterations, every)
-    moving = np.array([name.endswith("_velocity") for name in problem.model.state_names], dtype=bool)
-    at_rest = _damped_states(problem, z, np.where(moving, 0.0, states), iterations, ~moving)
-    counts = np.diff(np.r_[problem.edges, len(problem.owner)])
-    allowance = np.sum(moving) * np.log(counts)
-    rest = _window_costs(problem, z, at_rest) <= _window_costs(problem, z, free) + allowance
-    return np.where(rest[:, None], at_rest, free)
-
-
-def rescue_states(problem: Problem, z: FloatArray, states: FloatArray) -> FloatArray:
-    """Give windows that fit far worse than most a fresh start from other velocities.
-
-    Near a stop the state has several local minima, and one window in a wrong one can bend all
-    parameters.
-    """
-    costs = _window_costs(problem, z, states) / np.diff(np.r_[problem.edges, len(problem.owner)])
-    bad = np.flatnonzero(costs > OUTLYING * np.median(costs))
-    moving = [i for i, name in enumerate(problem.model.state_names) if name.endswith("_velocity")]
-    if not len(bad) or not moving:
-        return states
-    part = problem.of_windows(bad)
-    best, best_costs = states[bad], _window_costs(part, z, states[bad])
-    for offset in OTHER_VELOCITIES:
-        trial = part.guess.copy()
-        trial[:, moving] += offset * problem.model.state_scale[moving]
-        trial = _damped_states(part, z, trial, 6, np.ones(states.shape[1], dtype=bool))
-        trial_costs = _window_costs(part, z, trial)
-        better = trial_costs < best_costs
-        best, best_costs = np.where(better[:, None], trial, best), np.where(better, trial_costs, best_costs)
-    rescued = states.copy()
-    rescued[bad] = best
-    return rescued
-
-
-def _window_costs(problem: Problem, z: FloatArray, states: FloatArray) -> FloatArray:
-    return problem.per_window(problem.residuals(Point(z, states)) ** 2)
-
-
-def _damped_states(
-    problem: Problem, z: FloatArray, states: FloatArray, iterations: int, which: np.ndarray
-) -> FloatArray:
-    """Levenberg-Marquardt of all windows at once, each with its own damping."""
-    damping = np.full(len(states), 1e-3)
-    residuals = problem.residuals(Point(z, states))
-    cost = problem.per_window(residuals**2)
-    for _ in range(iterations):
-        slopes = problem.state_slopes(Point(z, states), residuals) * which
-        gram = problem.state_gram(slopes, damping)
-        pull = problem.per_window(slopes * residuals[:, None])
-        step = np.linalg.solve(gram, pull[:, :, None])[:, :, 0] * which
-        trial = states - step * problem.model.state_scale
-        trial_residuals = problem.residuals(Point(z, trial))
-        trial_cost = problem.per_window(trial_residuals**2)
-        better = trial_cost < cost
-        states = np.where(better[:, None], trial, states)
-        residuals = np.where(better[problem.owner], trial_residuals, residuals)
-        damping = np.where(better, np.maximum(0.1 * damping, 1e-8), 10.0 * damping)
-        gained = np.where(better, cost - trial_cost, 0.0)
-        cost = np.where(better, trial_cost, cost)
-        if np.all(gained <= 1e-6 * cost + 1e-12) and np.all(better | (damping > 1.0)):
-            break
-    return states

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from labhil.identify.least_squares import fit_states
 from labhil.identify.problem import Point, Problem
+from labhil.identify.window_states import fit_states
 from labhil.identify.windows import fit_windows
 from labhil.physics.model import Metric, Model, Record
 from labhil.signals import FloatArray

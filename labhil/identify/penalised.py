@@ -16,9 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labhil.identify.least_squares import Solution, polish_states
+from labhil.identify.least_squares import Solution
 from labhil.identify.problem import Linearised, Point, Problem
 from labhil.identify.statistics import long_run_variance, modelled_variance
+from labhil.identify.window_states import polished, tried
 from labhil.signals import FloatArray, IntArray
 
 DAMPED, LEAST_DAMPED, MOST_DAMPED = 1e-3, 1e-8, 1e4
@@ -132,11 +133,10 @@ def _lower(
     cost = _cost(point.z, residuals, penalty)
     while damping < MOST_DAMPED:
         z = np.clip(near.solve(penalty, damping), problem.lower, problem.upper)
-        states = polish_states(problem, z, point.states, _followed(problem, lin, point, residuals, z))
-        trial = Point(z, states)
-        trial_residuals = problem.residuals(trial)
-        if _cost(z, trial_residuals, penalty) < cost:
-            return trial, trial_residuals, max(0.1 * damping, LEAST_DAMPED)
+        followed = tried(problem, z, _followed(problem, lin, point, residuals, z))
+        trial = polished(problem, z, tried(problem, z, point.states), followed)
+        if _cost(z, trial.residuals, penalty) < cost:
+            return Point(z, trial.states), trial.residuals, max(0.1 * damping, LEAST_DAMPED)
         damping *= 10.0
     return None
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from labhil.errors import RecordingError
-from labhil.identify.least_squares import fit_states, rescue_states
 from labhil.identify.problem import Point, Problem
+from labhil.identify.window_states import fit_states, rescue_states
 from labhil.identify.windows import ScoredWindows, all_of, noise_at, scored_windows
 from labhil.physics.drive_balance import Balanced
 from labhil.physics.model import Metric, Model, Record

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labhil.identify.least_squares import fit_states, rescue_states
 from labhil.identify.problem import Problem
+from labhil.identify.window_states import fit_states, rescue_states
 from labhil.physics import input_path, rolling
 from labhil.physics.ball_beam import BallBeamModel
 from labhil.physics.model import Record, Windows, index_of, start_values, starts_of

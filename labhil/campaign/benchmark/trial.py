@@ -10,9 +10,9 @@ from pathlib import Path
 from labhil.identify.fit import Fit, Options, fit
 from labhil.identify.fitted import free_of, start_theta
 from labhil.identify.intervals import cramer_rao
-from labhil.identify.least_squares import fit_states
 from labhil.identify.problem import Point, Problem
 from labhil.identify.score import score
+from labhil.identify.window_states import fit_states
 from labhil.identify.windows import fit_windows
 from labhil.physics.model import Model, Record, index_of
 from labhil.physics.rigs import model_for

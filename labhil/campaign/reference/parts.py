@@ -18,11 +18,12 @@ from labhil.identify.fit import Fit, Options, fit
 from labhil.identify.fitted import covariances
 from labhil.identify.identifiability import weak_parameters
 from labhil.identify.intervals import Intervals
-from labhil.identify.least_squares import fit_states, least_squares
+from labhil.identify.least_squares import least_squares
 from labhil.identify.linear import Orders, linear_study
 from labhil.identify.problem import Point, Problem
 from labhil.identify.sensitivities import sensitivities
 from labhil.identify.statistics import inverse_information
+from labhil.identify.window_states import fit_states
 from labhil.physics.model import index_of
 from labhil.physics.terms import keyed
 from labhil.signals import FloatArray

@@ -10,9 +10,9 @@ from scipy.linalg import cholesky, solve_triangular
 
 from labhil.campaign.trials.noise import TrueNoise
 from labhil.identify.fitted import climb, start_theta
-from labhil.identify.least_squares import fit_states
 from labhil.identify.problem import Point, Problem
 from labhil.identify.score import Score, score
+from labhil.identify.window_states import fit_states
 from labhil.identify.windows import fit_windows
 from labhil.physics.model import Model, Record
 from labhil.signals import FloatArray

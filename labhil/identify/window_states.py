@@ -1,0 +1,157 @@
+"""The states that windows begin with, found for each window by itself while the parameters are held.
+
+Each window has a damping of its own, so that one at a stop or a reversal does not hold back all the others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labhil.identify.problem import Point, Problem
+from labhil.signals import FloatArray, IntArray
+
+POLISH = 1
+"""Steps that each window takes by itself after a step of the parameters."""
+
+OUTLYING = 2.0
+"""Windows that cost this many times the median are looked at again."""
+
+OTHER_VELOCITIES = (-0.8, -0.4, -0.2, 0.2, 0.4, 0.8)
+"""Where they begin anew, in scales of the state beside the measured velocity."""
+
+TRIALS = 12
+"""States that are tried anew in every window when a fit settles."""
+
+NEAR, FAR = 0.05, 0.5
+"""How far from the best so far they begin, in scales of the state: two thirds near, one third far."""
+
+
+@dataclass(frozen=True, slots=True)
+class States:
+    """A state of every window, (W, S), with the residuals (N·c,) that it leaves; parameters held."""
+
+    states: FloatArray
+    residuals: FloatArray
+
+    @property
+    def cost(self) -> float:
+        """Sum of squares."""
+        return float(self.residuals @ self.residuals)
+
+    def costs(self, problem: Problem) -> FloatArray:
+        """Sums of squares, (W,)."""
+        return problem.per_window(self.residuals**2)
+
+    def or_better(self, problem: Problem, other: States) -> States:
+        """The other where it costs less, window by window."""
+        return self.chosen(problem, other.costs(problem) < self.costs(problem), other)
+
+    def chosen(self, problem: Problem, which: np.ndarray, other: States) -> States:
+        """The other in the windows ``which`` (W,)."""
+        return States(
+            np.where(which[:, None], other.states, self.states),
+            np.where(which[problem.owner], other.residuals, self.residuals),
+        )
+
+
+def tried(problem: Problem, z: FloatArray, states: FloatArray) -> States:
+    """These states with what they leave."""
+    return States(states, problem.residuals(Point(z, states)))
+
+
+def polished(problem: Problem, z: FloatArray, first: States, second: States) -> States:
+    """Begin each window at the better of both states, and improve it by itself."""
+    if not problem.model.state_names:
+        return first
+    return _damped_states(problem, z, first.or_better(problem, second), POLISH)
+
+
+def search_states(
+    problem: Problem, z: FloatArray, states: FloatArray, random: np.random.Generator, trials: int = TRIALS
+) -> FloatArray:
+    """Every window's best initial state among many local minima near it, (W, S); parameters held."""
+    best = tried(problem, z, states)
+    for k in range(trials if states.shape[1] else 0):
+        centre = problem.guess if k % 2 else best.states
+        reach = (FAR if k % 3 == 0 else NEAR) * problem.model.state_scale
+        begin = centre + random.standard_normal(states.shape) * reach
+        best = best.or_better(problem, _damped_states(problem, z, tried(problem, z, begin), 4))
+    return best.states
+
+
+def fit_states(problem: Problem, z: FloatArray, states: FloatArray, *, iterations: int = 8) -> FloatArray:
+    """Find each window's initial state by itself with the parameters held at ``z``, (W, S).
+
+    Rest is one hypothesis: where a window is explained about as well by a body that is not moving,
+    its velocity is zero.
+    """
+    if not states.shape[1]:
+        return states
+    free = _damped_states(problem, z, tried(problem, z, states), iterations)
+    moving = _velocities(problem)
+    resting = tried(problem, z, np.where(moving, 0.0, states))
+    at_rest = _damped_states(problem, z, resting, iterations, ~moving)
+    allowance = np.sum(moving) * np.log(_rows_of_windows(problem))
+    rest = at_rest.costs(problem) <= free.costs(problem) + allowance
+    return free.chosen(problem, rest, at_rest).states
+
+
+def _velocities(problem: Problem) -> np.ndarray:
+    return np.array([name.endswith("_velocity") for name in problem.model.state_names], dtype=bool)
+
+
+def _rows_of_windows(problem: Problem) -> IntArray:
+    return np.diff(np.r_[problem.edges, len(problem.owner)])
+
+
+def rescued_states(problem: Problem, z: FloatArray, found: States) -> States:
+    """Give windows that fit far worse than most a fresh start from other velocities.
+
+    Near a stop the state has several local minima, and one window in a wrong one can bend all
+    parameters.
+    """
+    costs = found.costs(problem) / _rows_of_windows(problem)
+    bad = np.flatnonzero(costs > OUTLYING * np.median(costs))
+    moving = _velocities(problem)
+    if not len(bad) or not moving.any():
+        return found
+    part = problem.of_windows(bad)
+    rows = np.isin(problem.owner, bad)
+    best = States(found.states[bad], found.residuals[rows])
+    for offset in OTHER_VELOCITIES:
+        begin = part.guess + offset * problem.model.state_scale * moving
+        best = best.or_better(part, _damped_states(part, z, tried(part, z, begin), 6))
+    states, residuals = found.states.copy(), found.residuals.copy()
+    states[bad], residuals[rows] = best.states, best.residuals
+    return States(states, residuals)
+
+
+def rescue_states(problem: Problem, z: FloatArray, states: FloatArray) -> FloatArray:
+    """:func:`rescued_states` of states (W, S) alone."""
+    return rescued_states(problem, z, tried(problem, z, states)).states
+
+
+def _damped_states(
+    problem: Problem, z: FloatArray, begin: States, iterations: int, which: np.ndarray | bool = True
+) -> States:
+    """Levenberg-Marquardt of all windows at once, each with its own damping; ``which`` (S,) states move."""
+    found = begin
+    damping = np.full(len(begin.states), 1e-3)
+    cost = begin.costs(problem)
+    for _ in range(iterations):
+        slopes = problem.state_slopes(Point(z, found.states), found.residuals) * which
+        gram = problem.state_gram(slopes, damping)
+        pull = problem.per_window(slopes * found.residuals[:, None])
+        step = np.linalg.solve(gram, pull[:, :, None])[:, :, 0] * which
+        trial = tried(problem, z, found.states - step * problem.model.state_scale)
+        trial_cost = trial.costs(problem)
+        better = trial_cost < cost
+        found = found.chosen(problem, better, trial)
+        damping = np.where(better, np.maximum(0.1 * damping, 1e-8), 10.0 * damping)
+        gained = np.where(better, cost - trial_cost, 0.0)
+        cost = np.where(better, trial_cost, cost)
+        if np.all(gained <= 1e-6 * cost + 1e-12) and np.all(better | (damping > 1.0)):
+            break
+    return found
