@@ -1,0 +1,132 @@
+"""Commands of the acquisition wing: simulated devices, what is installed, runs."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from labhil.console import split_names, tell, write_json
+from labhil.errors import UsageError
+
+
+def add_acquisition(app: typer.Typer) -> None:
+    """Register these commands."""
+    app.command(
+        epilog="Example: labhil twin ball_beam --seed 3 --terms viscous_friction,coulomb_friction --speed 5"
+    )(twin)
+    app.command(epilog="Example: labhil devices ball_beam")(devices)
+    app.command(epilog="Example: labhil run ball_beam_identify.toml --out recordings")(run)
+
+
+def twin(
+    kind: Annotated[str, typer.Argument(help="A name from `labhil devices`.")],
+    *,
+    seed: Annotated[int, typer.Option(help="Seed of its noise.")] = 0,
+    terms: Annotated[
+        str | None, typer.Option(help="Effects it is made of: a,b,… (default: its own; see --list).")
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="NAME=VALUE",
+            help="A value other than the default (SI; see --list); may be repeated.",
+        ),
+    ] = None,
+    speed: Annotated[float, typer.Option(help="How many seconds of its world pass in one.")] = 1.0,
+    wire: Annotated[str, typer.Option(help="pty or tcp.")] = "pty",
+    answer: Annotated[Path | None, typer.Option(help="Write what it is made of to this file.")] = None,
+    parameters: Annotated[bool, typer.Option("--list", help="Print terms and settings, and end.")] = False,
+) -> None:
+    """Start a simulated device on the real wire.
+
+    The first line of its output is the address to connect to; it runs until it is interrupted.
+    """
+    from labhil.driver import TwinOptions
+    from labhil.plugins import load_twin
+
+    device = load_twin(kind)
+    if parameters:
+        for name, about in device.terms().items():
+            print(f"--terms {name}: {about}")
+        for name, value in device.parameters().items():
+            print(f"--set {name}={value:g}")
+        return
+    chosen = parse_settings(settings or [])
+    options = TwinOptions(seed, speed, split_names(terms), chosen, wire, answer)
+    device.serve(options, lambda address: print(address, flush=True))
+
+
+def parse_settings(settings: list[str]) -> dict[str, float]:
+    """Return the numbers in ``["name=value", …]``; UsageError says which one is not like that."""
+    parsed: dict[str, float] = {}
+    for setting in settings:
+        name, equals, value = setting.partition("=")
+        try:
+            parsed[name.strip()] = float(value)
+        except ValueError:
+            equals = ""
+        if not equals or not name.strip():
+            raise UsageError(
+                f"--set {setting!r}: expected name=number, like viscous_friction.coefficient=0.3"
+            )
+    return parsed
+
+
+def devices(
+    names: Annotated[list[str] | None, typer.Argument(help="Describe these (imports them).")] = None,
+) -> None:
+    """List the installed driver plugins and twins, or describe some of them."""
+    from labhil import plugins
+
+    if not names:
+        twins = plugins.names(plugins.TWINS)
+        for name in plugins.names(plugins.DRIVERS):
+            print(f"{name}  (with a simulated device)" if name in twins else name)
+        return
+    for name in names:
+        spec = plugins.load_driver(name).spec
+        print(f"{name}: {spec.description}")
+        print(f"  rig {spec.rig}; address: twin, {spec.address_help}")
+        print(
+            f"  samples at {spec.stream.rate:g} Hz; safe after {spec.command_timeout:g} s without a command"
+        )
+        for signal in spec.stream.signals:
+            command = f", commanded, safe at {spec.safe[signal.name]:g}" if signal.name in spec.safe else ""
+            print(f"  {signal.name} [{signal.unit}] {signal.description}{command}")
+
+
+def run(
+    experiment: Annotated[Path, typer.Argument(help="An experiment file (TOML).")],
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check everything, touch no device.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the recording goes.")] = Path(),
+) -> None:
+    """Acquire: run the steps of an experiment file and leave one recording.
+
+    Its path is the last line of the output. Ctrl+C brings every device to its safe state and leaves a
+    readable recording.
+    """
+    from labhil.experiment.experiment import load_experiment
+    from labhil.experiment.plan import make_plan
+
+    plan = make_plan(load_experiment(experiment))
+    if dry_run:
+        print(plan.describe())
+        return
+    from labhil.experiment.run import run_experiment
+    from labhil.experiment.show import ProgressBar
+
+    tell(plan.warnings())
+    with ProgressBar() as bar:
+        result = run_experiment(plan.experiment, out, bar)
+    if result.error is not None:
+        print(result.error, file=sys.stderr)
+    if as_json:
+        write_json(result.to_json())
+    elif result.path is not None:
+        print(result.path)
+    raise typer.Exit(result.exit_status)

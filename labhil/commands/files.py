@@ -1,0 +1,47 @@
+"""Commands on files: bring in what others wrote, and take out what we wrote."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from labhil.console import tell
+
+
+def add_files(app: typer.Typer) -> None:
+    """Register these commands."""
+    app.command("import", epilog="Example: labhil import bench.csv --rig ball_beam.toml -o bench.mcap")(
+        import_
+    )
+    app.command(epilog="Example: labhil export run.mcap -o run.csv")(export)
+
+
+def import_(
+    data: Annotated[Path, typer.Argument(help="A text table (any extension) or a MAT file.")],
+    rig: Annotated[
+        Path, typer.Option(help="The rig file; its [table] and [channels] say how to read the data.")
+    ],
+    out: Annotated[Path, typer.Option("-o", "--out", help="The recording to write (.mcap).")],
+) -> None:
+    """Make a recording of a table that others wrote."""
+    from labhil.recording.tables import describe_import, import_table, write_import
+    from labhil.rig import load_rig
+
+    table = import_table(data, load_rig(rig))
+    tell(describe_import(table))
+    print(write_import(table, out))
+
+
+def export(
+    recording: Annotated[Path, typer.Argument(help="A recording (.mcap).")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="The table to write (.csv).")],
+) -> None:
+    """Write the samples of a recording as a table: a column t (s), then the signals in SI units."""
+    from labhil.recording.export import export as write_table
+    from labhil.recording.reader import read_recording
+
+    found = read_recording(recording)
+    tell(found.losses())
+    print(write_table(found, out))

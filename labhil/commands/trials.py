@@ -1,0 +1,98 @@
+"""Commands of sealed trials."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from labhil.console import refuse_unwritable, results_console, status, write_json
+
+
+def add_trials(app: typer.Typer) -> None:
+    """Register these commands."""
+    trial = typer.Typer(
+        help="Sealed trials: rigs with concealed physics, diagnosed blind, scored against sealed answers.",
+        no_args_is_help=True,
+        rich_markup_mode=None,
+    )
+    trial.command("make", epilog="Example: labhil trial make --rig ball_beam --trials 20 -o trials")(
+        trial_make
+    )
+    trial.command("run", epilog="Example: labhil trial run trials --jobs 2")(trial_run)
+    trial.command("score", epilog="Example: labhil trial score trials trials-answers --json score.json")(
+        trial_score
+    )
+    app.add_typer(trial, name="trial")
+
+
+def trial_make(
+    *,
+    rig: Annotated[str, typer.Option(help="A kind of rig: ball_beam, dc_motor, axis or solenoid.")],
+    trials: Annotated[int, typer.Option(help="How many.")],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Where the recordings go.")],
+    answers: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Where the answers go (default: DIR-answers).")
+    ] = None,
+    effects: Annotated[str, typer.Option(help="0, 1, 2 or 3 concealed effects, hidden, or mixed.")] = "mixed",
+    seed: Annotated[
+        int | None, typer.Option(help="For tests: the same trials again; default: the system's randomness.")
+    ] = None,
+    jobs: Annotated[int | None, typer.Option(help="Processes (default: one a core).")] = None,
+) -> None:
+    """Draw rigs with concealed physics and record them; the answers are sealed in a folder elsewhere.
+
+    "hidden" draws an effect that stands in no list of names, "mixed" any sort, with nulls among them.
+    """
+    from labhil.campaign.trials.make import Order, answers_beside, make_trials
+
+    order = Order(rig, trials, effects, out, answers or answers_beside(out), seed)
+    with status() as say:
+        index = make_trials(order, jobs or _cores(), say)
+    if index.fixed_seed:
+        print(f"Drawn from the fixed seed {seed}: good for tests, no secret to anyone who knows it.")
+    print(f"{len(index.trials)} trials of {rig} in {order.out}, answers in {order.answers}")
+
+
+def trial_run(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder of `labhil trial make`.")],
+    *,
+    jobs: Annotated[int | None, typer.Option(help="Processes (default: one a core).")] = None,
+) -> None:
+    """Diagnose all trials blind; every result is kept at once and hashed.
+
+    The diagnoses run in processes that are given DIR alone and cannot open an envelope, wherever it lies.
+    The same command goes on where it was interrupted. A diagnosis that fails is recorded as a failure.
+    """
+    from labhil.campaign.trials.run import run_trials
+
+    with status() as say:
+        sealed = run_trials(folder, jobs or _cores(), say)
+    print(f"Results in {folder / 'results'}; SHA-256 of their hashes ({folder / 'results.sha256'}): {sealed}")
+
+
+def trial_score(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder of `labhil trial make`, run.")],
+    answers: Annotated[Path, typer.Argument(metavar="ANSWERS", help="The folder of its answers.")],
+    *,
+    json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
+) -> None:
+    """Open the envelopes and score what was said: detection, naming, false alarms, reliability, errors.
+
+    Results, recordings or answers that are not the ones that were hashed are refused.
+    """
+    from labhil.campaign.trials.score import score_trials
+    from labhil.campaign.trials.show import show
+
+    refuse_unwritable(json_path)
+    with status() as say:
+        card = score_trials(folder, answers, say)
+    show(card, results_console())
+    if json_path is not None:
+        write_json(card.to_json(), json_path)
+
+
+def _cores() -> int:
+    return os.cpu_count() or 1
