@@ -47,6 +47,12 @@ WEIGHED, WEIGHED_WIDELY = (2, 0.5), (5, 0.1)
 """How many rivals are tried in the place of each found term, and what share of what its absence leaves they
 have to promise: on long windows, where a projection says less, more of them and with less."""
 
+ROUGHLY = 1e-4
+"""Share of the cost by which a step has to lower it while candidates are compared: part of a BIC unit."""
+
+LEADING = 0.4
+"""Scouts that stay behind the best by more than this share of what it gained are not refitted to the end."""
+
 FINALISTS = 3
 """How many of them are refitted to the end where much is still unexplained."""
 
@@ -257,13 +263,26 @@ def confirm(
     executor: Executor,
     hopeless: float = float("inf"),
 ) -> list[Fitted]:
-    """Refit candidates, best first by BIC."""
+    """Refit candidates, best first by BIC: a few steps each, and to the end where that promises most."""
 
-    def refit(group: tuple[str, ...]) -> Fitted:
-        return _refit(data, current, (*current.terms, *group), group, hopeless=hopeless)
+    def scout(group: tuple[str, ...]) -> Fitted:
+        return _refit(data, current, (*current.terms, *group), group, hopeless=0.0, tolerance=ROUGHLY)
 
-    trials = list(executor.map(refit, groups))
-    effective = min((effective_samples(t) for t in trials), default=1.0)
+    def finish(trial: Fitted) -> Fitted:
+        if trial.solution.converged or trial.solution.cost > hopeless:
+            return trial
+        return _refit(data, trial, trial.terms, (), tolerance=ROUGHLY)
+
+    scouts = list(executor.map(scout, groups))
+    if not scouts:
+        return []
+    effective = min(effective_samples(t) for t in scouts)
+    marks = [bic(trial, effective) for trial in scouts]
+    within = min(marks) + max(NEEDED_BIC, LEADING * (bic(current, effective) - min(marks)))
+    leading = [trial for trial, mark in zip(scouts, marks, strict=True) if mark <= within]
+    others = [trial for trial, mark in zip(scouts, marks, strict=True) if mark > within]
+    trials = [*executor.map(finish, leading), *others]
+    effective = min(effective_samples(t) for t in trials)
     return sorted(trials, key=lambda trial: bic(trial, effective))
 
 
@@ -283,6 +302,7 @@ def _refit(
     *,
     thorough: bool = False,
     hopeless: float = float("inf"),
+    tolerance: float = 1e-6,
 ) -> Fitted:
     start = current.theta.copy()
     for i, parameter in enumerate(data.model.parameters):
@@ -298,6 +318,7 @@ def _refit(
         states=current.solution.point.states,
         new_terms=fresh,
         iterations=25,
+        tolerance=tolerance,
         thorough=thorough,
         hopeless=hopeless,
         held=data.held,

@@ -81,6 +81,7 @@ def fit_terms(
     states: FloatArray | None = None,
     new_terms: Sequence[str] | None = None,
     iterations: int = 60,
+    tolerance: float = 1e-6,
     thorough: bool = True,
     hopeless: float = float("inf"),
     shapes: bool = True,
@@ -106,14 +107,21 @@ def fit_terms(
         limit = SCOUT_ITERATIONS if len(starts) > 1 or hopeless < float("inf") else iterations
         begin_at = problem.start() if states is None else Point(problem.start().z, states)
         settled = states is not None
-        solution = least_squares(problem, begin_at, iterations=limit, settled=settled, thorough=False)
+        solution = least_squares(
+            problem, begin_at, iterations=limit, tolerance=tolerance, settled=settled, thorough=False
+        )
         if best is None or solution.cost < best[1].cost:
             best = problem, solution
     assert best is not None
     problem, solution = best
     if solution.cost <= hopeless and (thorough or not solution.converged):
         solution = least_squares(
-            problem, solution.point, iterations=iterations, settled=True, thorough=thorough
+            problem,
+            solution.point,
+            iterations=iterations,
+            tolerance=tolerance,
+            settled=True,
+            thorough=thorough,
         )
     theta = problem.theta(solution.point.z)
     if not shapes:
