@@ -56,7 +56,7 @@ def fit(
     recordings: RecordingsArgument,
     *,
     rig: Annotated[Path | None, typer.Option(help="Rig file; default: the recording's own.")] = None,
-    model: Annotated[Path | None, typer.Option(help="A fit to start from (JSON).")] = None,
+    model: Annotated[Path | None, typer.Option(help="A fit or diagnosis to start from (JSON).")] = None,
     estimator: Annotated[
         str,
         typer.Option(
@@ -102,6 +102,7 @@ def fit(
     from labhil.identify.estimators import estimator_named
     from labhil.identify.fit import Options, criterion_named
     from labhil.identify.intervals import interval_method
+    from labhil.report.kept_curve import curve_note
     from labhil.report.material import load_material
     from labhil.report.study import fit_study
     from labhil.report.text import show_fit
@@ -114,7 +115,7 @@ def fit(
     with status() as say:
         options = Options(window, method, simultaneous, estimator_named(estimator), seed, say, small)
         result = fit_study(material, terms=split_names(names), start=model, options=options)
-    show_fit(result.fit, results_console(), material.numbered())
+    show_fit(result.fit, results_console(), [*material.numbered(), *curve_note(model)])
     if plot is not None:
         from labhil.report.fit_plot import fit_plot
 
@@ -131,7 +132,7 @@ def diagnose(
     recordings: RecordingsArgument,
     *,
     rig: Annotated[Path | None, typer.Option(help="Rig file; default: the recording's own.")] = None,
-    model: Annotated[Path | None, typer.Option(help="A fit that stands for your simulation (JSON).")] = None,
+    model: Annotated[Path | None, typer.Option(help="A fit or diagnosis: your simulation (JSON).")] = None,
     baseline: Annotated[str | None, typer.Option(help="Terms that your simulation has: a,b,…")] = None,
     per_recording: PerRecordingOption = None,
     test: TestOption = None,
@@ -147,6 +148,7 @@ def diagnose(
 
     Several recordings of a rig are searched together: they share all values but those of --per-recording.
     """
+    from labhil.report.kept_curve import curve_note
     from labhil.report.material import load_material
     from labhil.report.study import diagnose_study
     from labhil.report.text import show_diagnosis
@@ -156,7 +158,7 @@ def diagnose(
     tell(material.losses())
     with status() as say:
         result = diagnose_study(material, baseline=split_names(baseline), reference=model, progress=say)
-    show_diagnosis(result.diagnosis, results_console(), material.numbered())
+    show_diagnosis(result.diagnosis, results_console(), [*material.numbered(), *curve_note(model)])
     if json_path is not None:
         write_json(result.json, json_path)
     if plot is not None:

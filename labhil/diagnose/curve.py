@@ -14,6 +14,7 @@ from labhil.identify.least_squares import Solution
 from labhil.identify.penalised import Projected, minimise
 from labhil.identify.problem import Point, Problem
 from labhil.identify.spline import Spline
+from labhil.identify.statistics import Estimate, estimates
 from labhil.identify.window_states import fit_states, search_states
 from labhil.identify.windows import fit_windows
 from labhil.physics.extra_force import Over, Yielding
@@ -213,6 +214,22 @@ def covariance(curved: Curved) -> FloatArray:
     whole = curved.near.covariance(curved.penalty, max(dof, 1.0), len(fitted.problem.sigma))
     size = curved.model.coefficients[0].scale
     return np.asarray(curved.free @ whole[-count:, -count:] @ curved.free.T) * size**2
+
+
+def rows_beside(curved: Curved) -> list[Estimate]:
+    """The model's own parameters as they are estimated together with the curve."""
+    fitted, count = curved.fitted, curved.model.spline.count
+    problem = fitted.problem
+    own, scale = problem.free[:-count], problem.scale[:-count]
+    dof = max(len(fitted.solution.residuals) - curved.degrees - fitted.solution.point.states.size, 1.0)
+    whole = curved.near.covariance(curved.penalty, dof, len(problem.sigma))
+    spread = whole[:-count, :-count] * np.outer(scale, scale)
+    values, errors = fitted.theta[own], np.sqrt(np.maximum(np.diag(spread), 0.0))
+    reach = stats.norm.ppf(0.5 + 0.5 * LEVEL) * errors
+    ends = list(zip((values - reach).tolist(), (values + reach).tolist(), strict=True))
+    parameters = [problem.model.parameters[i] for i in own]
+    known = np.zeros(len(own), dtype=bool)
+    return estimates(parameters, values, spread, spread, len(fitted.solution.residuals), known, ends)
 
 
 def _shapes(curved: Curved) -> FloatArray:

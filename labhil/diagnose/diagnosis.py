@@ -90,7 +90,7 @@ def diagnose(
     unexplained = _unexplained(found, after)
     found, beyond = _beyond(data, found) if unexplained else (found, None)
     after = after if beyond is None else score(*_accepted(model, found, beyond), held_out, noise, horizon)
-    final = table_of(found.final).rows
+    final = table_of(found.final).rows if beyond is None else beyond.rows
     changed = _changes(final, reference)
     return Diagnosis(
         verdict=_verdict(found, changed, beyond, unexplained),

@@ -21,6 +21,7 @@ from labhil.diagnose.curve import (
     length_of,
     lengthened,
     refined,
+    rows_beside,
     shortened,
 )
 from labhil.diagnose.evidence import Evidence, effective_samples, heldout_gain
@@ -28,6 +29,7 @@ from labhil.diagnose.judge import TRUSTED, Data, supported
 from labhil.identify.extended import NAME, Coordinate
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score, score
+from labhil.identify.statistics import Estimate
 from labhil.identify.windows import fit_windows
 from labhil.physics.extra_force import Over, Yielding
 from labhil.physics.model import Model
@@ -70,7 +72,7 @@ class Unmodelled:
     along the positive direction, or the level of a friction (−value·sgn v), or a damping (−value·v).
     ``model`` and ``fit`` have it in them; ``before`` and ``after`` are held-out scores; ``share`` is what of
     the mismatch it explains there, (mse_before − mse_after)/(mse_before − floor²). ``degrees`` are the
-    effective degrees of freedom of the whole fit.
+    effective degrees of freedom of the whole fit, ``rows`` the model's own parameters in it.
     """
 
     term: str
@@ -92,6 +94,7 @@ class Unmodelled:
     after: Score
     share: float
     degrees: float
+    rows: list[Estimate]
 
 
 def unmodelled(data: Data, final: Fitted) -> Unmodelled | None:
@@ -224,6 +227,7 @@ def _answer(data: Data, final: Fitted, chosen: Curved, evidence: Evidence) -> Un
         after=after,
         share=float((before.mse - after.mse) / excess) if excess > 0.0 else 0.0,
         degrees=chosen.degrees,
+        rows=rows_beside(chosen),
     )
 
 

@@ -44,11 +44,21 @@ OF_SEVERAL = ("recording", "times_in", "per_recording")
 """Fields that only results of several recordings have."""
 
 
-def fit_json(fit: Fit, sources: Sequence[Source], rig: str, estimator: str, seed: int, seconds: float) -> Any:
-    """The whole of a fit as plain JSON data."""
+def fit_json(
+    fit: Fit,
+    sources: Sequence[Source],
+    rig: str,
+    estimator: str,
+    seed: int,
+    seconds: float,
+    curve: Mapping[str, Any] | None = None,
+) -> Any:
+    """The whole of a fit as plain JSON data; ``curve`` is a force that the model was under."""
+    kept = {} if curve is None else {"curve": curve}
     return _told(
         sources,
-        {
+        kept
+        | {
             "schema": "labhil.fit/1",
             "recordings": [asdict(source) for source in sources],
             "rig": rig,

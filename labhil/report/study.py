@@ -17,6 +17,7 @@ from labhil.identify.windows import FEWEST_IN_WINDOW
 from labhil.physics.model import Model, index_of, terms_named
 from labhil.physics.rigs import rig_model
 from labhil.physics.several import for_every_recording
+from labhil.report.kept_curve import curve_json, under_kept_curve
 from labhil.report.material import Material
 from labhil.report.results import diagnosis_json, fit_json, terms_of, values_of
 
@@ -48,14 +49,14 @@ def fit_study(
     start: Path | None = None,
     options: Options | None = None,
 ) -> FitResult:
-    """Fit a model; ``start`` is a fit or diagnosis file to begin at."""
+    """Fit a model; ``start`` is a fit or diagnosis file to begin at, whose curve, if any, is kept."""
     shortest = FEWEST_IN_WINDOW * material.learn.period
     how = options or Options()
     if how.window is not None and not 0.99 * shortest <= how.window < float("inf"):
         raise UsageError(
             f"--window: expected at least {shortest:.3g} s ({FEWEST_IN_WINDOW} samples), found {how.window:g}"
         )
-    model = material.model
+    model = under_kept_curve(material.model, start)
     chosen = terms or (terms_of(start) if start is not None else rig_model(model.kind).general)
     chosen = _with_own(model, chosen, stated=bool(terms))
     began = time.perf_counter()
@@ -71,7 +72,8 @@ def fit_study(
         judged = with_help(result.identifiability, material.rig, result.fitted)
         result = replace(result, identifiability=judged)
     seconds = time.perf_counter() - began
-    data = fit_json(result, material.sources("train"), model.kind, how.estimator, how.seed, seconds)
+    sources = material.sources("train")
+    data = fit_json(result, sources, model.kind, how.estimator, how.seed, seconds, curve_json(model))
     return FitResult(result, material, data)
 
 
@@ -98,8 +100,11 @@ def diagnose_study(
     reference: Path | None = None,
     progress: Progress = lambda text: None,
 ) -> DiagnosisResult:
-    """Diagnose; ``reference`` is a fit file that stands for the user's simulation, like ``[nominal]``."""
-    model = material.model
+    """Diagnose; ``reference`` is a fit file that stands for the user's simulation, like ``[nominal]``.
+
+    A curve that the file has is part of that simulation.
+    """
+    model = under_kept_curve(material.model, reference)
     values = _reference_values(material, reference)
     chosen = baseline or (terms_of(reference) if reference is not None else rig_model(model.kind).baseline)
     terms_named(model, chosen)

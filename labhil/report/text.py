@@ -19,7 +19,7 @@ from labhil.report.verdicts import VERDICTS
 
 
 def show_fit(fit: Fit, console: Console, numbered: Sequence[str] = ()) -> None:
-    """Print a fit; ``numbered`` are lines that say what the numbers of several recordings stand for."""
+    """Print a fit; ``numbered`` are lines about what it was made from, as several recordings' numbers."""
     _show_numbered(numbered, console)
     console.print(parameter_table(fit.estimates, f"Parameters: errors robust to correlation, {_kind(fit)}"))
     for note in _fit_notes(fit):
@@ -180,7 +180,7 @@ def _fit_notes(fit: Fit) -> list[str]:
 
 
 def show_diagnosis(diagnosis: Diagnosis, console: Console, numbered: Sequence[str] = ()) -> None:
-    """Print a diagnosis; ``numbered`` are lines that say what the numbers of several recordings stand for."""
+    """Print a diagnosis; ``numbered`` are lines about what it was made from, as of a fit."""
     _show_numbered(numbered, console)
     console.print(diagnosis_text(diagnosis))
 

@@ -19,6 +19,7 @@ from labhil.physics.model import Record
 from labhil.physics.rigs import model_for, record_of
 from labhil.physics.terms import keyed
 from labhil.recording.reader import read_recording
+from labhil.report.kept_curve import under_kept_curve
 from labhil.report.material import rig_of
 from labhil.report.results import Source, accepted_of, finite, score_json
 from labhil.report.text import small
@@ -61,7 +62,7 @@ def verify_study(
         raise RecordingError(
             f"{path}: too short to verify: {len(record)} samples, at least {2 * FEWEST_SAMPLES} are needed"
         )
-    model = model_for(rig, record)
+    model = under_kept_curve(model_for(rig, record), model_path)
     found = verify(model, model.prepare(record), accepted, alpha=alpha, progress=progress)
     source = Source(str(path), recording.sha256, model.kind, len(record), _duration(record), "test")
     seconds = time.perf_counter() - began

@@ -1,0 +1,108 @@
+"""A curve that a diagnosis estimated, kept as a part of a model: the same force on other recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from labhil.identify.extended import Coordinate
+from labhil.physics.extra_force import ExtraForce, Over, Yielding
+from labhil.physics.model import Metric, Model, Record, Windows
+from labhil.physics.terms import Yardstick
+from labhil.signals import FloatArray
+
+RESOLVED = 0.02
+"""Share of the curve's range that one step of a simulation may pass."""
+
+
+@dataclass(frozen=True, slots=True)
+class KeptCurve:
+    """A force with the values ``value`` (m,), in ``unit``, at the evenly spaced places ``x`` (m,).
+
+    ``low`` … ``high`` (m,) is its pointwise 99 % band. Beyond its range it keeps its last value.
+    """
+
+    coordinate: Coordinate
+    x: FloatArray
+    value: FloatArray
+    low: FloatArray
+    high: FloatArray
+    unit: str
+    formula: str | None = None
+
+    def at(self, places: FloatArray) -> FloatArray:
+        """The curve at other places (N,)."""
+        return np.interp(places, self.x, self.value)
+
+    def force(self, record: Record) -> ExtraForce:
+        """As a model takes it, on this record."""
+        span = float(self.x[-1] - self.x[0])
+        course = self.at(self.coordinate.of_record(record)) if self.coordinate.acts is Over.TIME else None
+        return ExtraForce(
+            self.coordinate.acts, self.x, self.value, RESOLVED * span, course, self.coordinate.turn
+        )
+
+
+class ModelUnderCurve:
+    """A model under a known force (satisfies ``physics.model.Model``); all else is the inner one's."""
+
+    def __init__(self, inner: Yielding, curve: KeptCurve) -> None:
+        self.inner = inner
+        self.curve = curve
+        self.kind = inner.kind
+        self.state_names = inner.state_names
+        self.state_scale = inner.state_scale
+        self.fixed = inner.fixed
+        self.never_seen = inner.never_seen
+        self.metric: Metric = inner.metric
+        self.forgets = inner.forgets
+        self.horizon = inner.horizon
+        self.coordinate_units = inner.coordinate_units
+        self.terms = inner.terms
+        self.parameters = inner.parameters
+
+    def horizon_at(self, theta: FloatArray) -> float:
+        """The inner model's, s."""
+        return self.inner.horizon_at(theta)
+
+    def prepare(self, record: Record) -> Record:
+        """As the inner model does."""
+        return self.inner.prepare(record)
+
+    def initial_states(self, record: Record, windows: Windows) -> FloatArray:
+        """The inner model's, (w, states)."""
+        return self.inner.initial_states(record, windows)
+
+    def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
+        """Simulated outputs of all windows, (N, channels)."""
+        return self._under(record).simulate(theta, record, windows, states)
+
+    def coordinates(
+        self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
+    ) -> Mapping[str, FloatArray]:
+        """Coordinates along the simulation under the force, each (N,)."""
+        return self._under(record).coordinates(theta, record, windows, states)
+
+    def driven(
+        self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
+    ) -> Mapping[str, FloatArray]:
+        """The inner model's."""
+        return self.inner.driven(theta, record, windows, along)
+
+    def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
+        """The inner model's force and the curve's, (N,)."""
+        force = self.inner.effort(theta, coordinates)
+        coordinate = self.curve.coordinate
+        if coordinate.name not in coordinates:
+            return force
+        curve = self.curve.at(coordinate.of(coordinates))
+        return np.asarray(force + coordinate.force(curve, coordinates[self.inner.moves_by[1]]))
+
+    def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
+        """The inner model's."""
+        return self.inner.yardsticks(record)
+
+    def _under(self, record: Record) -> Model:
+        return self.inner.with_force(self.curve.force(record))
