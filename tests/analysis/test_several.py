@@ -228,6 +228,7 @@ def test_every_recording_is_simulated_by_its_own_model():
                 assert driven_by[name][rows] == pytest.approx(values, rel=1e-9, abs=1e-12)
 
 
+@pytest.mark.extended
 def test_a_further_force_acts_in_the_recording_it_is_given_for():
     record = joined([axis(1), axis(2)])
     model = model_for(rig_of("axis"), record)
@@ -419,6 +420,7 @@ def diagnosed(searched: list[Record], tested: list[Record], names=()):
     return diagnose(model, search, test, heldout_is_test=True, baseline=BASELINE, measured=search)
 
 
+@pytest.mark.extended
 def test_what_acts_in_one_recording_only_is_found_there():
     searched, tested = ([sprung(seed, 0.0), sprung(seed + 1, 60.0)] for seed in (1, 3))
     found = diagnosed(searched, tested, (SPRING,))
@@ -434,6 +436,7 @@ def test_what_acts_in_one_recording_only_is_found_there():
     assert "in recording 2" in found.location.statement
 
 
+@pytest.mark.extended
 def test_what_each_recording_alone_shows_too_weakly_is_found_in_both():
     """Friction that is the same in both leaves less for a spring to be taken for."""
     searched, tested = [sprung(271, 4.0), sprung(272, 4.0)], [sprung(273, 4.0), sprung(274, 4.0)]

@@ -136,8 +136,8 @@ def test_nothing_is_found_where_nothing_is(rig: str) -> None:
 @pytest.mark.parametrize(
     "kind",
     [
-        "ball_beam",
         "axis",
+        pytest.param("ball_beam", marks=pytest.mark.extended),
         pytest.param("dc_motor", marks=pytest.mark.extended),
         pytest.param("solenoid", marks=pytest.mark.extended),
     ],
