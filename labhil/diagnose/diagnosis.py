@@ -10,20 +10,22 @@ import numpy as np
 from scipy import stats
 
 from labhil.diagnose import telling
+from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.answer import Change, Diagnosis, Undecided
 from labhil.diagnose.contradiction import structure_p_value
 from labhil.diagnose.evidence import bic, effective_samples
 from labhil.diagnose.intake import Fault, faults_of, usable
 from labhil.diagnose.judge import NEEDED_BIC, Data
+from labhil.diagnose.load import with_load
 from labhil.diagnose.search import Found, search
 from labhil.diagnose.unmodelled import Unmodelled, unmodelled
 from labhil.identify.fitted import Fitted, climb, covariances, start_theta
 from labhil.identify.noise import lasting_noise
 from labhil.identify.score import Score, score, with_forces
-from labhil.identify.statistics import Estimate
+from labhil.identify.statistics import Estimate, stated, with_error
 from labhil.identify.table import table_of
 from labhil.identify.windows import noise_of, told_apart
-from labhil.physics.model import Model, Record, terms_named
+from labhil.physics.model import Model, Record, index_of, terms_named
 from labhil.physics.terms import unkeyed
 from labhil.signals import FloatArray
 
@@ -48,13 +50,15 @@ def diagnose(
     heldout_is_test: bool,
     baseline: Sequence[str],
     reference: Mapping[str, float] | None = None,
+    accepted: Accepted | None = None,
     measured: Record | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Diagnosis:
     """Find what ``baseline`` lacks on ``searched``, judged on ``held_out``.
 
     ``reference`` are values of the user's own simulation by parameter name; with them a changed
-    value can be told from missing physics. ``measured`` is what was searched before the model prepared it:
+    value can be told from missing physics; ``accepted`` is the model that they are of, with its covariance,
+    where there is one. ``measured`` is what was searched before the model prepared it:
     there faults of the data are looked for.
     """
     began = time.perf_counter()
@@ -75,8 +79,9 @@ def diagnose(
     if not _excited(searched, sigma):
         reason = "neither input nor output moves beyond the noise"
         return _unsearched(data, base, "not_decidable", reason, faults, heldout_is_test, began)
-    found = search(data, base, progress)
-    if reference is not None and (sizes := _sizes(model, reference)):
+    found = with_load(data, search(data, base, progress), accepted)
+    sizes = _sizes(model, reference) if reference is not None and not found.errors else frozenset()
+    if sizes:
         progress("the same with the sizes of the given model held")
         held = replace(data, held=sizes)
         found = _simpler(found, search(held, _fit_baseline(held, terms), progress))
@@ -90,7 +95,7 @@ def diagnose(
     unexplained = _unexplained(found, after)
     found, beyond = _beyond(data, found) if unexplained else (found, None)
     after = after if beyond is None else score(*_accepted(model, found, beyond), held_out, noise, horizon)
-    final = table_of(found.final).rows if beyond is None else beyond.rows
+    final = _rows(found) if beyond is None else beyond.rows
     changed = _changes(final, reference)
     return Diagnosis(
         verdict=_verdict(found, changed, beyond, unexplained),
@@ -200,6 +205,18 @@ def _excited(record: Record, sigma: np.ndarray) -> bool:
         bool((np.std(each.outputs, axis=0) > 5.0 * sigma).all() and np.std(each.inputs[:, 0]) > 0)
         for each in record.recordings()
     )
+
+
+def _rows(found: Found) -> list[Estimate]:
+    """The table of what is left, sizes that were held included, with errors that the fit cannot know."""
+    fitted = found.final
+    rows = table_of(fitted).rows
+    there = {row.key for row in rows}
+    held = [p for p in fitted.problem.model.parameters if p.term is None and p.key not in there]
+    places = index_of(fitted.problem.model.parameters)
+    values = np.array([fitted.theta[places[p.key]] for p in held])
+    rows = stated(held, values, np.array([found.errors.get(p.key, 0.0) for p in held])) + rows
+    return [with_error(row, found.errors.get(row.key, 0.0)) for row in rows]
 
 
 def _verdict(found: Found, changed: tuple[Change, ...], beyond: Unmodelled | None, unexplained: bool) -> str:

@@ -8,7 +8,7 @@ support.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
@@ -87,7 +87,7 @@ class Rival:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Where a search ended."""
+    """Where a search ended; ``errors`` are standard errors by key that its fits by themselves cannot know."""
 
     baseline: Fitted
     final: Fitted
@@ -95,6 +95,7 @@ class Found:
     rivals: tuple[Rival, ...]
     p_value: float
     looks: int
+    errors: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -172,7 +173,7 @@ class Hunt:
                 accepted, _ = self._forward(trail.current, rest)
             if accepted is None or not _relevant(self.baseline, trail.current, accepted):
                 return
-            accepted = _refit(self.data, accepted, accepted.terms, (), thorough=True)
+            accepted = refit(self.data, accepted, accepted.terms, (), thorough=True)
             if not trail.go(self.pruned(self.data, accepted)):
                 return
             self.progress(f"found {', '.join(t for t in trail.current.terms if t not in self.base)}")
@@ -266,12 +267,12 @@ def confirm(
     """Refit candidates, best first by BIC: a few steps each, and to the end where that promises most."""
 
     def scout(group: tuple[str, ...]) -> Fitted:
-        return _refit(data, current, (*current.terms, *group), group, hopeless=0.0, tolerance=ROUGHLY)
+        return refit(data, current, (*current.terms, *group), group, hopeless=0.0, tolerance=ROUGHLY)
 
     def finish(trial: Fitted) -> Fitted:
         if trial.solution.converged or trial.solution.cost > hopeless:
             return trial
-        return _refit(data, trial, trial.terms, (), tolerance=ROUGHLY)
+        return refit(data, trial, trial.terms, (), tolerance=ROUGHLY)
 
     scouts = list(executor.map(scout, groups))
     if not scouts:
@@ -289,12 +290,12 @@ def confirm(
 def _finish_best(data: Data, trials: Sequence[Fitted], executor: Executor) -> list[Fitted]:
     """Refit the best few with a second chance for outlying windows, and order them anew."""
     leading = trials[:FINALISTS]
-    finished = list(executor.map(lambda t: _refit(data, t, t.terms, (), thorough=True), leading))
+    finished = list(executor.map(lambda t: refit(data, t, t.terms, (), thorough=True), leading))
     effective = min(effective_samples(t) for t in finished)
     return sorted(finished, key=lambda trial: bic(trial, effective))
 
 
-def _refit(
+def refit(
     data: Data,
     current: Fitted,
     terms: Sequence[str],
@@ -304,6 +305,7 @@ def _refit(
     hopeless: float = float("inf"),
     tolerance: float = 1e-6,
 ) -> Fitted:
+    """Fit ``terms`` from where a fit stands; those in ``fresh`` begin at each of their own starts."""
     start = current.theta.copy()
     for i, parameter in enumerate(data.model.parameters):
         if parameter.term is not None and parameter.term not in terms:
@@ -410,7 +412,7 @@ def _significant(fitted: Fitted, term: str) -> bool:
 def _without(data: Data, current: Fitted, term: str) -> Fitted:
     """The model refitted without a term and what builds on it, unless that is hopelessly worse."""
     terms = without(data.model, current.terms, term)
-    return _refit(data, current, terms, (), hopeless=HOPELESS * current.solution.cost)
+    return refit(data, current, terms, (), hopeless=HOPELESS * current.solution.cost)
 
 
 def _prune(data: Data, current: Fitted, base: frozenset[str], progress: Progress) -> Fitted:
@@ -440,7 +442,7 @@ def _supported_only(
         weak = [step for step in steps if not (step.told and supported(step.evidence, step.p_search))]
         if not weak:
             return final, steps
-        final = _refit(data, final, without(data.model, final.terms, weak[-1].terms[0]), (), thorough=True)
+        final = refit(data, final, without(data.model, final.terms, weak[-1].terms[0]), (), thorough=True)
 
 
 def _steps_of(data: Data, baseline: Fitted, final: Fitted, looks: int) -> tuple[Step, ...]:

@@ -14,7 +14,7 @@ correlation is not allowed to shrink a variance below the classical σ̂²(JᵀJ
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -25,6 +25,9 @@ from labhil.physics.terms import Parameter, keyed
 from labhil.signals import FloatArray
 
 ALPHA = 0.01
+REACH = float(stats.norm.ppf(1.0 - 0.5 * ALPHA))
+"""Standard errors on both sides of a value that an interval at that level has."""
+
 FAINTEST = 1e-9
 
 MOST_ORDERS = 10
@@ -234,6 +237,24 @@ def estimates(
             )
         )
     return rows
+
+
+def stated(parameters: list[Parameter], values: FloatArray, errors: FloatArray) -> list[Estimate]:
+    """Rows of values (P,) that are taken from elsewhere, with their standard errors (P,)."""
+    spread = np.diag(np.asarray(errors, dtype=np.float64) ** 2)
+    ends = [(float(v - REACH * e), float(v + REACH * e)) for v, e in zip(values, errors, strict=True)]
+    return estimates(parameters, values, spread, spread, 1, np.zeros(len(values), dtype=bool), ends)
+
+
+def with_error(row: Estimate, error: float) -> Estimate:
+    """The row with a standard error of at least this."""
+    if not error > row.std_error:
+        return row
+    z = row.value / error
+    p_value = float(2.0 * stats.norm.sf(abs(z)))
+    ends = row.value - REACH * error, row.value + REACH * error
+    sure = row.significant and p_value < ALPHA
+    return replace(row, std_error=error, ci99=ends, z=z, p_value=p_value, significant=sure)
 
 
 def of_channels(

@@ -19,7 +19,7 @@ from labhil.physics.rigs import rig_model
 from labhil.physics.several import for_every_recording
 from labhil.report.kept_curve import curve_json, under_kept_curve
 from labhil.report.material import Material
-from labhil.report.results import diagnosis_json, fit_json, terms_of, values_of
+from labhil.report.results import accepted_of, diagnosis_json, fit_json, terms_of, values_of
 
 Progress = Callable[[str], None]
 
@@ -115,6 +115,7 @@ def diagnose_study(
         heldout_is_test=material.judge_is_test,
         baseline=chosen,
         reference=values,
+        accepted=None if reference is None else accepted_of(reference),
         measured=material.measured,
         progress=progress,
     )

@@ -50,10 +50,14 @@ FAINTEST = 1e-10
 
 @dataclass(frozen=True, slots=True)
 class Grouped:
-    """Columns of the regressor that stand for all: ``kept`` (P,), with each one's combination in words."""
+    """Columns of the regressor that stand for all: ``kept`` (P,), with each one's combination in words.
+
+    ``shares`` (P, 60) are what a unit of every inertial parameter adds to each of them.
+    """
 
     kept: tuple[int, ...]
     combinations: tuple[str, ...]
+    shares: FloatArray
 
     def names(self) -> list[tuple[str, str, int]]:
         """Name, unit and link (from 0) of each."""
@@ -73,7 +77,8 @@ class Grouped:
 
     def only(self, chosen: Sequence[int]) -> Grouped:
         """Those at the places ``chosen``."""
-        return Grouped(tuple(self.kept[i] for i in chosen), tuple(self.combinations[i] for i in chosen))
+        combinations = tuple(self.combinations[i] for i in chosen)
+        return Grouped(tuple(self.kept[i] for i in chosen), combinations, self.shares[list(chosen)])
 
 
 def grouped(links: Links, seed: int = 0) -> Grouped:
@@ -93,7 +98,7 @@ def grouped(links: Links, seed: int = 0) -> Grouped:
             basis = np.column_stack([basis, rest / size])
     kept.sort()
     share, *_ = linalg.lstsq(columns[:, kept], columns)
-    return Grouped(tuple(kept), tuple(_combination(kept[i], share[i]) for i in range(len(kept))))
+    return Grouped(tuple(kept), tuple(_combination(kept[i], share[i]) for i in range(len(kept))), share)
 
 
 def _combination(own: int, shares: FloatArray) -> str:

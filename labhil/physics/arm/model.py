@@ -13,6 +13,7 @@ import numpy as np
 from labhil.errors import UnknownNameError
 from labhil.kinds import JOINTS
 from labhil.physics.arm.catalogue import NEVER_SEEN, Sizes, catalogue
+from labhil.physics.arm.controller_constants import controller_constants
 from labhil.physics.arm.first_estimate import FirstEstimate, best_of, first_estimate
 from labhil.physics.arm.grouped import grouped
 from labhil.physics.arm.joint_laws import LAWS, JointMotion, directions
@@ -46,7 +47,8 @@ class ArmModel:
     Driven by ``actual_q`` and ``actual_qd``; gives the six currents. The rig file's ``links`` (default: the
     manufacturer's UR5) give lengths and, where known, inertia; where that is absent, grouped inertial
     parameters are estimated. Without ``torque_constant`` that is estimated too, against the known inertia;
-    with neither known, a common factor of both remains free, and the statistics say so.
+    with neither known it is the controller's, where its planned torques and currents are recorded
+    (``arm.controller_constants``), else a common factor of both remains free, and the statistics say so.
     """
 
     kind = "ur5"
@@ -65,7 +67,15 @@ class ArmModel:
     def __init__(self, rig: RigFile, record: Record | None = None) -> None:
         path = rig.known_path("links")
         self.links = UR5 if path is None else load_links(path)
-        known = rig.known_numbers("torque_constant")
+        stated = rig.known_numbers("torque_constant")
+        # known masses are the better reference: then the constants are estimated
+        asked = record is not None and stated is None and self.links.inertial is None
+        self.controller = controller_constants(record) if asked and record is not None else None
+        known = stated
+        self.scale_error = 0.0
+        if self.controller is not None:
+            self.scale_error = self.controller.relative_error
+            known = self.controller.value.tolist()
         self._constant = np.full(JOINTS, TYPICAL_CONSTANT) if known is None else np.array(known)
         self.fixed = {} if known is None else {keyed("torque_constant", j): k for j, k in enumerate(known)}
         self.cut_off = rig.metric.cut_off or cut_off_of(record)
@@ -143,6 +153,17 @@ class ArmModel:
             reach = range(p.joint + 1) if p.joint is not None and p.name != COMPLIANCE else range(JOINTS)
             found[p.key] = (p.joint,) if alone and p.joint is not None else tuple(reach)
         return found
+
+    def sizes_of_load(self, mass: float, centre: Sequence[float]) -> dict[str, float]:
+        """What a point ``mass`` (kg) at ``centre`` (m, flange's frame) adds to the inertial parameters.
+
+        By key; nothing where these are known and so are no parameters.
+        """
+        if self.first is None:
+            return {}
+        own = self.first.grouped
+        added = own.shares[:, LAST] @ inertial_of(mass, tuple(centre))
+        return {keyed(n, link): float(a) for (n, _, link), a in zip(own.names(), added, strict=True)}
 
     def horizon_at(self, theta: FloatArray) -> float:
         """Has no part in inverse dynamics; the gap before held-out data, s."""

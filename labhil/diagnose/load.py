@@ -1,0 +1,129 @@
+"""Changed sizes of a rig that one load explains: an arm that carries something, told as that.
+
+Where an arm's inertia is estimated, a mass at its flange changes a dozen parameters at once, each by what a
+point at the flange adds to it. These changes, with their covariance, are fitted by one mass and its centre;
+where that is all there is to them, the load is the answer, and the sizes stay what the user's model has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from labhil.diagnose.accepted import Accepted
+from labhil.diagnose.judge import Data, compare, supported
+from labhil.diagnose.search import Found, Step, refit
+from labhil.identify.fitted import Fitted, covariances
+from labhil.physics.model import Model, index_of
+from labhil.signals import FloatArray
+
+TERM = "payload"
+KEYS = ("payload.mass", "payload.centre_x", "payload.centre_y", "payload.centre_z")
+EXPLAINED = 0.9
+"""Share of the changes' squares, in units of their errors, that a load has to explain."""
+
+CERTAIN = 5.0
+"""Standard errors by which its mass has to be told from nothing."""
+
+FARTHEST = 0.5
+"""m from the flange's frame within which its centre is sought, as the term has it."""
+
+
+@runtime_checkable
+class Loadable(Model, Protocol):
+    """A model that knows what a load adds to its sizes; ``scale_error`` is a relative one of all forces."""
+
+    scale_error: float
+
+    def sizes_of_load(self, mass: float, centre: Sequence[float]) -> Mapping[str, float]:
+        """What a point ``mass`` (kg) at ``centre`` (m) adds to its parameters, by key."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """A mass (kg) and its centre (m): ``values`` (4,) with their standard ``errors`` (4,)."""
+
+    values: FloatArray
+    errors: FloatArray
+
+
+def with_load(data: Data, found: Found, accepted: Accepted | None) -> Found:
+    """What was found, with the changes of the accepted sizes told as a load where one explains them."""
+    model = data.model
+    if accepted is None or not isinstance(model, Loadable) or TERM not in model.terms:
+        return found
+    if TERM in found.final.terms or not model.sizes_of_load(1.0, (0.0, 0.0, 0.0)):
+        return found
+    load = load_in(model, found.final, accepted)
+    return found if load is None else _told(data, model, found, load, accepted)
+
+
+def load_in(model: Loadable, fitted: Fitted, accepted: Accepted) -> Load | None:
+    """The load that explains how sizes differ from the accepted ones; None where none does.
+
+    A size that the accepted model does not have was not told from zero there: it counts as zero, with the
+    error that it has here.
+    """
+    keys = [key for key in model.sizes_of_load(1.0, (0.0, 0.0, 0.0)) if key in _free(fitted)]
+    if len(keys) < len(KEYS) or not set(keys) & set(accepted.values):
+        return None
+    robust, _, _ = covariances(fitted)
+    own = [_free(fitted).index(key) for key in keys]
+    spread = robust[np.ix_(own, own)]
+    here = fitted.theta[fitted.problem.free[own]]
+    there = np.array([accepted.values.get(key, 0.0) for key in keys])
+    absent = np.array([key not in accepted.values for key in keys])
+    spread = spread + accepted.covariance_of(keys) + np.diag(np.diag(spread) * absent)
+    if not np.all(np.isfinite(spread)):
+        return None
+    whiten = np.linalg.inv(np.linalg.cholesky(spread))
+
+    def left(load: FloatArray) -> FloatArray:
+        added = model.sizes_of_load(float(load[0]), load[1:].tolist())
+        return np.asarray(whiten @ (here - there - np.array([added[key] for key in keys])))
+
+    bounds = ([0.0, *[-FARTHEST] * 3], [np.inf, *[FARTHEST] * 3])
+    ends = [least_squares(left, [mass, 0.0, 0.0, 0.05], bounds=bounds, x_scale=0.1) for mass in (0.3, 3.0)]
+    end = min(ends, key=lambda each: float(each.cost))
+    before, after = float(np.sum(left(np.zeros(4)) ** 2)), 2.0 * float(end.cost)
+    # what a point does not explain of the changes says how far their errors are to be trusted
+    trust = max(after / max(len(keys) - len(KEYS), 1), 1.0)
+    errors = np.sqrt(trust * np.diag(np.linalg.pinv(end.jac.T @ end.jac)))
+    certain = end.x[0] > CERTAIN * errors[0] and after < (1.0 - EXPLAINED) * before
+    return Load(np.asarray(end.x), errors) if certain else None
+
+
+def _told(data: Data, model: Loadable, found: Found, load: Load, accepted: Accepted) -> Found:
+    """The same account with the load as a term, if data that the search never saw support it."""
+    places = index_of(model.parameters)
+    added = model.sizes_of_load(float(load.values[0]), load.values[1:].tolist())
+    theta = found.final.theta.copy()
+    for key, change in added.items():
+        theta[places[key]] -= change
+    for key, value in zip(KEYS, load.values.tolist(), strict=True):
+        theta[places[key]] = value
+    held = replace(data, held=data.held | set(added))
+    begin = replace(found.final, theta=theta)
+    final = refit(held, begin, (*found.final.terms, TERM), ())
+    bare = refit(held, begin, found.final.terms, ())
+    evidence, p_search = compare(held, bare, final, held.judge(bare.theta), found.looks)
+    if not supported(evidence, p_search):
+        return found
+    baseline = refit(held, begin, found.baseline.terms, ())
+    errors = dict(zip(KEYS, load.errors.tolist(), strict=True))
+    errors[KEYS[0]] = float(np.hypot(load.errors[0], model.scale_error * load.values[0]))
+    errors |= {key: float(np.sqrt(accepted.covariance_of([key])[0, 0])) for key in added}
+    step = Step((TERM,), evidence, p_search, told=True)
+    rivals = tuple(r for r in found.rivals if r.instead_of in final.terms)
+    return replace(
+        found, baseline=baseline, final=final, missing=(step, *found.missing), rivals=rivals, errors=errors
+    )
+
+
+def _free(fitted: Fitted) -> list[str]:
+    return [fitted.problem.model.parameters[i].key for i in fitted.problem.free]

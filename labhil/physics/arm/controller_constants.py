@@ -1,0 +1,77 @@
+"""Torque constants as the controller of an arm has them: what current it plans for what torque.
+
+i*_j = (τ*_j + friction_j(q̇))/K_j + offset. The controller computes its planned current from its planned
+torque and a friction model of its own, so that K is what both tell where no one has measured it. Whether
+the drive has that constant nobody knows; it is the manufacturer's calibration.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labhil.kinds import JOINTS
+from labhil.physics.model import Record
+from labhil.signals import FloatArray
+
+SLOWEST = 0.02
+"""rad/s under which the sign of a velocity is not relied upon."""
+
+FEWEST = 200
+"""Samples that have to be left of a joint."""
+
+POOREST = 0.05
+"""Relative standard error from which a constant is not known."""
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerConstants:
+    """Torque constants ``value`` (6,) with standard errors ``error`` (6,), N·m/A, gear ratio included."""
+
+    value: FloatArray
+    error: FloatArray
+
+    @property
+    def relative_error(self) -> float:
+        """The largest of the six."""
+        return float(np.max(self.error / self.value))
+
+
+def controller_constants(record: Record) -> ControllerConstants | None:
+    """What planned torques and currents tell; None where they are not recorded, or tell too little."""
+    found = [_of_joint(record, joint) for joint in range(JOINTS)]
+    known = [each for each in found if each is not None]
+    if len(known) < JOINTS:
+        return None
+    value, error = np.array(known).T
+    return ControllerConstants(value, error)
+
+
+def _of_joint(record: Record, joint: int) -> tuple[float, float] | None:
+    planned = [record.auxiliary.get(f"{name}_{joint}") for name in ("target_current", "target_moment")]
+    if planned[0] is None or planned[1] is None:
+        return None
+    velocity = record.inputs[:, record.input_names.index(f"actual_qd_{joint}")]
+    moving = np.abs(velocity) > SLOWEST
+    if np.count_nonzero(moving) < FEWEST:
+        return None
+    current, torque, v = planned[0][moving], planned[1][moving], velocity[moving]
+    columns = np.column_stack([torque, v, np.sign(v), v * np.abs(v), v**3, np.ones_like(v)])
+    size = np.linalg.norm(columns, axis=0)
+    if not np.all(size > 0.0):
+        return None
+    columns /= size
+    shares, _, rank, _ = np.linalg.lstsq(columns, current)
+    if rank < columns.shape[1]:
+        return None
+    left = current - columns @ shares
+    inverse = float(shares[0] / size[0])
+    error = float(np.sqrt(_memory(left) * left.var() * np.linalg.inv(columns.T @ columns)[0, 0]) / size[0])
+    return (1.0 / inverse, error / inverse**2) if inverse > 0.0 and error < POOREST * inverse else None
+
+
+def _memory(residuals: FloatArray) -> float:
+    """By how much a variance grows because residuals remember their neighbours (first-order process)."""
+    rho = float(residuals[1:] @ residuals[:-1]) / max(float(residuals @ residuals), 1e-300)
+    return (1.0 + rho) / max(1.0 - rho, 1e-3) if rho > 0.0 else 1.0
