@@ -115,7 +115,7 @@ def fit(
     with status() as say:
         options = Options(window, method, simultaneous, estimator_named(estimator), seed, say, small)
         result = fit_study(material, terms=split_names(names), start=model, options=options)
-    show_fit(result.fit, results_console(), [*material.numbered(), *curve_note(model)])
+    show_fit(result.fit, results_console(), [*material.numbered(), *material.notes(), *curve_note(model)])
     if plot is not None:
         from labhil.report.fit_plot import fit_plot
 
@@ -158,7 +158,9 @@ def diagnose(
     tell(material.losses())
     with status() as say:
         result = diagnose_study(material, baseline=split_names(baseline), reference=model, progress=say)
-    show_diagnosis(result.diagnosis, results_console(), [*material.numbered(), *curve_note(model)])
+    show_diagnosis(
+        result.diagnosis, results_console(), [*material.numbered(), *material.notes(), *curve_note(model)]
+    )
     if json_path is not None:
         write_json(result.json, json_path)
     if plot is not None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from labhil.errors import RecordingError, UsageError
 from labhil.identify.windows import FEWEST_SAMPLES, split
+from labhil.physics.arm import ArmModel
 from labhil.physics.model import Model, Record, joined
 from labhil.physics.rigs import model_for, record_of
 from labhil.physics.several import several
@@ -58,6 +59,10 @@ class Material:
                 )
             )
         return found
+
+    def notes(self) -> list[str]:
+        """What the model wants a person to know of what it took for known."""
+        return list(self.model.notes) if isinstance(self.model, ArmModel) else []
 
     def numbered(self) -> list[str]:
         """What the numbers of several recordings stand for, a line each; nothing of one."""

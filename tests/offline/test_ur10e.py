@@ -9,6 +9,7 @@ are held against them: the first must be below, the second may be a little above
 
 from __future__ import annotations
 
+import json
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -151,3 +152,30 @@ def test_a_mass_on_the_flange_shows_on_all_joints_that_lift_it(arm):
     assert theta[places[0]] == pytest.approx(2.805, rel=0.2)
     after = error(model, theta, loaded)
     assert np.all(after[1:5] < 0.3 * before[1:5]), (before, after)
+
+
+@pytest.mark.extended
+@pytest.mark.timeout(1200)
+def test_a_load_that_nobody_told_of_is_found_to_a_few_per_cent(labhil, tmp_path):
+    """The robot carries 2.805 kg that neither its controller nor the model knows of."""
+    folder = (
+        Path(os.environ.get("LABHIL_DATA") or Path(__file__).parents[3] / "shared" / "data") / "arm_ur10e"
+    )
+    if not folder.is_dir():
+        pytest.skip(f"measured data are not here: {folder} (set LABHIL_DATA to the folder above it)")
+    rig = RIG.with_name("ur10e_controller.toml")
+    for name in (LEARNED, LOADED):
+        assert labhil("import", folder / name, "--rig", rig, "-o", f"{name}.mcap").status == 0
+    chosen = ("--rig", rig, "--terms", ",".join(BASELINE))
+    assert labhil("fit", f"{LEARNED}.mcap", *chosen, "--json", "empty.json").status == 0
+    done = labhil("diagnose", f"{LOADED}.mcap", "--rig", rig, "--model", "empty.json", "--json", "load.json")
+    assert "Torque constants are the controller's" in done.out
+    found = json.loads((tmp_path / "load.json").read_text())
+    terms = {(missing["term"], missing["joint"]): missing for missing in found["missing"]}
+    mass = next(row for row in terms["payload", None]["parameters"] if row["name"] == "payload.mass")
+    low, high = mass["ci99"]
+    assert low < 2.805 < high
+    assert high - low < 0.15 * 2.805
+    dry = {joint for term, joint in terms if term == "load_dependent_friction"}
+    assert dry == {1, 2}
+    assert not [change for change in found["changed"] if change["name"].startswith("grouped")]

@@ -7,6 +7,7 @@ the drive has that constant nobody knows; it is the manufacturer's calibration.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,10 @@ FEWEST = 200
 
 POOREST = 0.05
 """Relative standard error from which a constant is not known."""
+
+
+APART = 0.03
+"""Relative difference from which stated constants are not the controller's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +51,21 @@ def controller_constants(record: Record) -> ControllerConstants | None:
         return None
     value, error = np.array(known).T
     return ControllerConstants(value, error)
+
+
+def notes_on(found: ControllerConstants, stated: Sequence[float] | None, taken: bool) -> tuple[str, ...]:
+    """What a person should know of the controller's constants beside those that a rig file states."""
+    said = ", ".join(f"{v:.4g} ± {e:.2g}" for v, e in zip(found.value, found.error, strict=True))
+    if taken:
+        return (
+            f"Torque constants are the controller's, from its planned torques and currents: {said} N·m/A.",
+        )
+    if stated is None or np.all(np.abs(found.value / np.array(stated) - 1.0) < APART):
+        return ()
+    return (
+        f"The controller plans with torque constants of {said} N·m/A; [known] has others, with "
+        "which masses and frictions grow. Without them, and without masses, the controller's are taken.",
+    )
 
 
 def _of_joint(record: Record, joint: int) -> tuple[float, float] | None:

@@ -13,7 +13,7 @@ import numpy as np
 from labhil.errors import UnknownNameError
 from labhil.kinds import JOINTS
 from labhil.physics.arm.catalogue import NEVER_SEEN, Sizes, catalogue
-from labhil.physics.arm.controller_constants import controller_constants
+from labhil.physics.arm.controller_constants import controller_constants, notes_on
 from labhil.physics.arm.first_estimate import FirstEstimate, best_of, first_estimate
 from labhil.physics.arm.grouped import grouped
 from labhil.physics.arm.joint_laws import LAWS, JointMotion, directions
@@ -68,14 +68,12 @@ class ArmModel:
         path = rig.known_path("links")
         self.links = UR5 if path is None else load_links(path)
         stated = rig.known_numbers("torque_constant")
+        self.controller = None if record is None else controller_constants(record)
         # known masses are the better reference: then the constants are estimated
-        asked = record is not None and stated is None and self.links.inertial is None
-        self.controller = controller_constants(record) if asked and record is not None else None
-        known = stated
-        self.scale_error = 0.0
-        if self.controller is not None:
-            self.scale_error = self.controller.relative_error
-            known = self.controller.value.tolist()
+        taken = self.controller if stated is None and self.links.inertial is None else None
+        known = stated if taken is None else taken.value.tolist()
+        self.scale_error = 0.0 if taken is None else taken.relative_error
+        self.notes = () if self.controller is None else notes_on(self.controller, stated, taken is not None)
         self._constant = np.full(JOINTS, TYPICAL_CONSTANT) if known is None else np.array(known)
         self.fixed = {} if known is None else {keyed("torque_constant", j): k for j, k in enumerate(known)}
         self.cut_off = rig.metric.cut_off or cut_off_of(record)
