@@ -47,6 +47,8 @@ class DeviceRun:
         self._codec = Codec(device.stream)
         self._controller = Controller(plan.steps, device.stream, device.safe)
         self._started_at_ns: int | None = None
+        self._since_ns = 0
+        self._resting = False
         self._running = False
         self._token = ""
         self._setpoints = bus.session.declare_publisher(
@@ -92,13 +94,18 @@ class DeviceRun:
         self._token = str(answer["token"])
 
     def start(self) -> None:
-        """Let the steps begin at the device's next sample."""
+        """Let the steps begin, or go on, at the device's next sample."""
         self.heard_at = time.monotonic()
+        self._controller.forget()
+        self._since_ns = time.time_ns()
+        self._started_at_ns = None  # however long the device has rested, its steps go on where they were
+        self._resting = False
         self._running = True
 
     def make_safe(self, reason: str) -> None:
         """Bring the device to its safe state; raises BusError when its host does not answer."""
         self._running = False
+        self._resting = True
         ask(self._bus, command_key(self.plan.name, "safe"), {"reason": reason}, ASK_TIMEOUT)
 
     def _take_samples(self, _key: str, payloads: list[bytes]) -> None:
@@ -109,7 +116,7 @@ class DeviceRun:
         requested: dict[str, float] = {}
         for t_ns, values in zip(batch.t_hw_ns.tolist(), batch.values.tolist(), strict=True):
             if self._started_at_ns is None:
-                self._started_at_ns = t_ns
+                self._started_at_ns = t_ns - round(self.elapsed * 1e9)
             self.elapsed = (t_ns - self._started_at_ns) * 1e-9
             requested = self._controller.requested(self.elapsed, values)
         if self.done:
@@ -122,12 +129,16 @@ class DeviceRun:
     def _take_events(self, _key: str, payloads: list[bytes]) -> None:
         for payload in payloads:
             event = json.loads(payload)
+            if event["t_ns"] < self._since_ns:
+                continue  # from before the steps went on
             error = self._error_of(event["kind"], f"{self.plan.name}: {event['message']}")
             if error is not None and self.error is None:
                 self.error = error
                 self._changed.set()
 
     def _error_of(self, kind: str, message: str) -> LabhilError | None:
+        if self._resting:
+            return None  # the device is in its safe state, and whoever takes the lease is told what stands
         if kind == HostState.TRIPPED.value:
             return LimitTrippedError(message)
         if not self._running:
