@@ -113,7 +113,8 @@ class Recorder:
     ``attachments`` maps names to whole files (the rig file as ``rig.toml``), ``metadata`` names to
     tables of strings. Raises what :class:`RecordingWriter` raises when the file cannot be made.
 
-    ``failure`` tells why the recording ended early (the disk), None while all is well.
+    ``failure`` tells why the recording ended early (the disk), None while all is well; ``on_failure`` is
+    called once it does, in the writer's thread.
     """
 
     def __init__(
@@ -123,8 +124,10 @@ class Recorder:
         *,
         attachments: Mapping[str, bytes] | None = None,
         metadata: Mapping[str, Mapping[str, str]] | None = None,
+        on_failure: Callable[[], object] = lambda: None,
     ) -> None:
         self.failure: RecordingFailedError | None = None
+        self._on_failure = on_failure
         self._bus = bus
         self._channels: dict[str, _Channel] = {}
         self._told: dict[tuple[str, str], bytes] = {}
@@ -220,9 +223,11 @@ class Recorder:
             action(*args)
         except RecordingFailedError as failure:
             self.failure = failure
+            self._on_failure()
         except Exception as error:  # noqa: BLE001 - a thread that dies in silence would lose everything after it
             self._writer.abandon()
             self.failure = RecordingFailedError(f"{self._writer.part}: the recorder failed: {error!r}")
+            self._on_failure()
 
     def _take(self, key: str, payloads: list[bytes]) -> None:
         device, stream = split_key(key)
