@@ -15,6 +15,12 @@ from labhil.codec import Codec, stream_from_json
 from labhil.errors import ProtocolError, RecordingError, RigFileError, suggestion
 from labhil.recording.chunks import Contents, Messages, is_mcap, scan
 from labhil.recording.clock import ClockFit, fit_clock
+from labhil.recording.device_clocks import (
+    ClockOffset,
+    DeviceClock,
+    clocks_from_metadata,
+    offsets_between,
+)
 from labhil.rig import RigFile, parse_rig
 from labhil.signals import Batch, FloatArray, IntArray, Stream
 
@@ -123,6 +129,16 @@ class Recording:
             for data in self.streams
             if data.lost
         ]
+
+    @property
+    def clocks(self) -> Mapping[str, DeviceClock]:
+        """How each device's clock ran against the host's, as written at the recording's end."""
+        return clocks_from_metadata(self.metadata)
+
+    @property
+    def clock_offsets(self) -> Mapping[tuple[str, str], ClockOffset]:
+        """By how much one device's clock was ahead of another's, for each pair of devices of one speed."""
+        return offsets_between(self.clocks)
 
     @property
     def duration(self) -> float:
