@@ -103,6 +103,24 @@ class Recording:
     complete: bool
     damage: str = ""
 
+    def of_device(self, name: str | None) -> Recording:
+        """Return what this recording holds of one device, with that device's rig file; all of it for None.
+
+        RecordingError names the devices that are there.
+        """
+        if name is None:
+            return self
+        devices = list(dict.fromkeys(data.device for data in self.streams))
+        if name not in devices:
+            raise RecordingError(
+                f"{self.path}: expected samples of the device {name!r}{suggestion(name, devices)}; "
+                f"found: {', '.join(devices) or 'no device at all'}"
+            )
+        streams = tuple(data for data in self.streams if data.device == name)
+        own = self.attachments.get(f"rig.{name}.toml")
+        rig = self.rig if own is None else _parsed_rig(self.path, own)
+        return replace(self, streams=streams, rig=rig)
+
     def stream_with(self, *names: str) -> StreamData:
         """Return the stream that has all these signals; RecordingError says what is there otherwise."""
         found = [data for data in self.streams if set(names) <= set(data.stream.names())]
@@ -245,8 +263,10 @@ def _timed(streams: list[StreamData], origin_ns: int) -> tuple[StreamData, ...]:
 
 def _rig(path: Path, contents: Contents) -> RigFile | None:
     text = contents.attachments.get(RIG_ATTACHMENT)
-    if text is None:
-        return None
+    return None if text is None else _parsed_rig(path, text)
+
+
+def _parsed_rig(path: Path, text: bytes) -> RigFile:
     try:
         return parse_rig(text.decode("utf-8"), path.parent / RIG_ATTACHMENT)
     except (UnicodeDecodeError, RigFileError) as error:
