@@ -8,30 +8,32 @@ from labhil.signals import Direction, Signal, Stream
 
 
 def command_stream(state: Stream, commands: tuple[Signal, ...]) -> Stream:
-    """Return the declaration of what was requested and what was sent, per column of a command."""
+    """Return the declaration of what was requested and what was sent, per command signal."""
     signals: list[Signal] = []
     for signal in commands:
-        for column in signal.columns():
-            for suffix, what in (("requested", "before limits"), ("applied", "sent to the device")):
-                signals.append(
-                    Signal(
-                        f"{column}_{suffix}",
-                        signal.unit,
-                        Direction.REQUESTED,
-                        hold=signal.hold,
-                        description=f"{column}, {what}",
-                    )
+        for suffix, what in (("requested", "before limits"), ("applied", "sent to the device")):
+            signals.append(
+                Signal(
+                    f"{signal.name}_{suffix}",
+                    signal.unit,
+                    Direction.REQUESTED,
+                    width=signal.width,
+                    hold=signal.hold,
+                    description=f"{signal.name}, {what}",
                 )
+            )
     return Stream("command", tuple(signals), state.rate)
 
 
 def safe_values(spec: DriverSpec) -> dict[str, float]:
-    """Return the value of every column of every command in the safe state."""
-    return {
-        column: spec.safe[column] if column in spec.safe else spec.safe[signal.name]
-        for signal in spec.commands
-        for column in signal.columns()
-    }
+    """Return the values of the commands in the safe state, by column; without those that stay as they are."""
+    values = {}
+    for signal in spec.commands:
+        for column in signal.columns():
+            value = spec.safe.get(column, spec.safe.get(signal.name))
+            if value is not None:
+                values[column] = value
+    return values
 
 
 def stream_metadata(config: HostConfig, driver: Driver, info: DeviceInfo) -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -55,13 +56,21 @@ class Output:
         """Send what is asked for as far as the limits allow, and return the row that says both."""
         elapsed = (now - self.sent_at) * self._speed
         self.applied = {
-            name: self.limits.clipped(name, value, self.applied[name], elapsed)
+            name: self.limits.clipped(name, value, self.applied.get(name), elapsed)
             for name, value in self.requested.items()
         }
         self.sent_at = now
         self._driver.command(self.applied)
+        return self._row()
+
+    def _row(self) -> Batch:
         t_ns = time.time_ns()
-        row = [value for name in self.requested for value in (self.requested[name], self.applied[name])]
+        row = [
+            values.get(column, math.nan)
+            for signal in self._driver.spec.commands
+            for values in (self.requested, self.applied)
+            for column in signal.columns()
+        ]
         self._count += 1
         t_hw_ns = self.clock.at(t_ns, self._speed)
         return Batch.of([(self._count - 1, t_ns, t_hw_ns, row)], len(row))
