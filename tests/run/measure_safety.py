@@ -35,6 +35,7 @@ from labhil.bus import latch
 from labhil.bus.ask import ask
 from labhil.bus.keys import command_key, setpoint_key
 from labhil.bus.session import Bus, open_bus
+from labhil.errors import LabhilError
 from labhil.experiment.experiment import TwinSection
 from labhil.experiment.twins import start_twin
 from labhil.link import Decoder, MessageType, State, StateFlag
@@ -150,7 +151,12 @@ class Seat:
     def __init__(self, relay: Relay) -> None:
         self.bus: Bus = open_bus()
         self.host = HostProcess(HostConfig("bench", "ball_beam", relay.address, LIMITS, self.bus.endpoint))
-        self.host.wait_connected()
+        try:
+            self.host.wait_connected()
+        except LabhilError:
+            self.host.stop()
+            self.bus.close()
+            raise
         answer = ask(self.bus, command_key("bench", "lease"), {"holder": "meter"}, 2.0, patience=10.0)
         self._token = str(answer["token"])
         self._over = threading.Event()
@@ -284,7 +290,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--repeat", type=int, default=20)
     parser.add_argument("--repeat-runs", type=int, help="of the cases that need a whole run each")
-    parser.add_argument("--only", help="a part of a case's name")
+    parser.add_argument("--only", help="parts of cases' names: a,b,…")
     parser.add_argument("-o", "--out", type=Path)
     options = parser.parse_args()
     result: dict[str, Any] = {"schema": "labhil.safety/1", "cases": {}}
@@ -297,20 +303,28 @@ def main() -> None:
         relay = Relay(address)
         stack.callback(relay.close)
         for name, (way, fault, by) in CASES.items():
-            if options.only and options.only not in name:
+            if options.only and not any(part in name for part in options.only.split(",")):
                 continue
             loads = [os.getloadavg()[0]]
-            times = []
+            times: list[float] = []
             repeat = options.repeat_runs or options.repeat if way is with_a_run else options.repeat
-            for _ in range(repeat):
-                times.append(way(relay, fault))
+            failed = 0
+            while len(times) < repeat and failed < repeat:
+                try:
+                    times.append(way(relay, fault))
+                except (LabhilError, TimeoutError, ValueError) as error:
+                    failed += 1
+                    print(f"not set up: {error}", file=sys.stderr, flush=True)
                 loads.append(os.getloadavg()[0])
             result["cases"][name] = {
                 **described(times, by),
+                "not_set_up": failed,
                 "load_average": [round(min(loads), 1), round(max(loads), 1)],
             }
             shown = {k: v for k, v in result["cases"][name].items() if k != "all_ms"}
             print(f"{name}: {shown}", file=sys.stderr, flush=True)
+            if options.out is not None:
+                options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     result["machine"] = {"cores": os.cpu_count(), "python": platform.python_version()}
     text = json.dumps(result, indent=1)
     if options.out is None:

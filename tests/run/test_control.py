@@ -17,7 +17,7 @@ from labhil.experiment.run import Progress, RunResult, run_experiment
 from labhil.recording.reader import Recording, read_recording
 
 ROOT = Path(__file__).parents[2]
-PATIENCE = 30.0
+PATIENCE = 90.0
 
 RIG = """
 [rig]

@@ -32,7 +32,7 @@ from labhil.service.limits import SampleLimits
 from labhil.service.messages import Setpoint
 from labhil.signals import Batch, Direction, Signal, Stream
 
-PATIENCE = 30.0
+PATIENCE = 90.0
 RIG = """
 [rig]
 kind = "ball_beam"
