@@ -17,6 +17,9 @@ ALL_LIVE = "lab/*/@live"
 ARRIVED = "lab/@arrived"
 """Where every subscription answers; the answer comes after all that was sent to it before the question."""
 
+RUN = "@run"
+"""Stands where a device's name does, for what the run itself is asked."""
+
 EVENT = "event"
 SETPOINT = "setpoint"
 

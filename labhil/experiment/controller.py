@@ -28,6 +28,10 @@ class Derivative:
         self._before = (t, y)
         return self._value
 
+    def forget(self) -> None:
+        """Begin anew, as at the first sample."""
+        self._before, self._value = None, 0.0
+
 
 @dataclass(frozen=True, slots=True)
 class _Feedback:
@@ -72,6 +76,12 @@ class Controller:
             if drive.start <= t < drive.end:
                 wanted[drive.column] = drive.excitation(t - drive.start) - effort
         return wanted
+
+    def forget(self) -> None:
+        """Forget what was shown before: samples from before a pause make no derivative."""
+        for drive in self._drives:
+            if drive.feedback is not None:
+                drive.feedback.derivative.forget()
 
 
 def _drives(timed: TimedStep, stream: Stream) -> list[_Drive]:

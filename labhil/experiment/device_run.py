@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 import threading
 import time
+from collections.abc import Mapping
 from contextlib import ExitStack
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import zenoh
 
@@ -16,16 +17,32 @@ from labhil.bus.keys import command_key, event_key, setpoint_key, stream_key
 from labhil.bus.session import Bus
 from labhil.bus.subscribe import Subscription, subscribe
 from labhil.codec import Codec
-from labhil.errors import LabhilError, LimitTrippedError, RunError, RunStoppedError
+from labhil.errors import (
+    EmergencyStopError,
+    InterlockError,
+    LabhilError,
+    LimitTrippedError,
+    RunError,
+    RunStoppedError,
+)
 from labhil.experiment.controller import Controller
 from labhil.experiment.plan import DevicePlan
 from labhil.service.hosts import ConnectedDevice
-from labhil.service.messages import HostState, Setpoint
+from labhil.service.messages import Setpoint
 
 PATIENCE = 10.0
 """How long the bus may take to find a host that has said that it is ready, s."""
 
 ASK_TIMEOUT = 2.0
+
+ALWAYS: Mapping[str, type[LabhilError]] = {"estop": EmergencyStopError}
+UNLESS_RESTING: Mapping[str, type[LabhilError]] = {"tripped": LimitTrippedError, "interlock": InterlockError}
+WHILE_RUNNING: Mapping[str, tuple[type[LabhilError], str]] = {
+    "watchdog": (RunError, ""),
+    "refused": (RunError, " (a setpoint was refused)"),
+    "safe": (RunStoppedError, " (somebody else stopped the device)"),
+}
+"""What a run ends with when a host says one of these."""
 
 
 class DeviceRun:
@@ -42,11 +59,17 @@ class DeviceRun:
         self.speed = device.speed
         self.elapsed = 0.0
         self.error: LabhilError | None = None
+        self.rests = ""
+        """Why the device cannot follow its steps for now, though nothing has failed; empty when it can."""
+        self.comes_back = False
+        """Whether it will say when it can again; else somebody has to resume the run."""
         self.heard_at = time.monotonic()
         self._bus, self._duration, self._changed = bus, duration, changed
         self._codec = Codec(device.stream)
         self._controller = Controller(plan.steps, device.stream, device.safe)
         self._started_at_ns: int | None = None
+        self._since_ns = 0
+        self._resting = False
         self._running = False
         self._token = ""
         self._setpoints = bus.session.declare_publisher(
@@ -92,13 +115,19 @@ class DeviceRun:
         self._token = str(answer["token"])
 
     def start(self) -> None:
-        """Let the steps begin at the device's next sample."""
+        """Let the steps begin, or go on, at the device's next sample."""
         self.heard_at = time.monotonic()
+        self._controller.forget()
+        self._since_ns = time.time_ns()
+        self._started_at_ns = None  # however long the device has rested, its steps go on where they were
+        self.rests, self.comes_back = "", False
+        self._resting = False
         self._running = True
 
     def make_safe(self, reason: str) -> None:
         """Bring the device to its safe state; raises BusError when its host does not answer."""
         self._running = False
+        self._resting = True
         ask(self._bus, command_key(self.plan.name, "safe"), {"reason": reason}, ASK_TIMEOUT)
 
     def _take_samples(self, _key: str, payloads: list[bytes]) -> None:
@@ -109,7 +138,7 @@ class DeviceRun:
         requested: dict[str, float] = {}
         for t_ns, values in zip(batch.t_hw_ns.tolist(), batch.values.tolist(), strict=True):
             if self._started_at_ns is None:
-                self._started_at_ns = t_ns
+                self._started_at_ns = t_ns - round(self.elapsed * 1e9)
             self.elapsed = (t_ns - self._started_at_ns) * 1e-9
             requested = self._controller.requested(self.elapsed, values)
         if self.done:
@@ -122,18 +151,41 @@ class DeviceRun:
     def _take_events(self, _key: str, payloads: list[bytes]) -> None:
         for payload in payloads:
             event = json.loads(payload)
-            error = self._error_of(event["kind"], f"{self.plan.name}: {event['message']}")
+            if event["t_ns"] < self._since_ns:
+                continue  # from before the steps went on
+            message = f"{self.plan.name}: {event['message']}"
+            if self._is_a_rest(event, message):
+                self._changed.set()
+                continue
+            error = self._error_of(event["kind"], message)
             if error is not None and self.error is None:
                 self.error = error
                 self._changed.set()
 
+    def _is_a_rest(self, event: dict[str, Any], message: str) -> bool:
+        """Note that the device was lost, came back, or that an interlock lets the run wait."""
+        kind = event["kind"]
+        if kind == "reconnected":
+            if self.comes_back:
+                self.rests = ""
+            return True
+        lost = kind in ("lost", "quiet") and self.plan.section.reconnect
+        if not lost and not (kind == "interlock" and event.get("then") == "pause"):
+            return False
+        if not self._running and not self._resting:
+            return False  # not started, or done
+        self._running, self._resting = False, True
+        self.rests, self.comes_back = message, lost
+        return True
+
     def _error_of(self, kind: str, message: str) -> LabhilError | None:
-        if kind == HostState.TRIPPED.value:
-            return LimitTrippedError(message)
-        if not self._running:
-            return None
-        if kind == "watchdog":
-            return RunError(message)
-        if kind == "refused":
-            return RunError(f"{message} (a setpoint was refused)")
-        return RunStoppedError(f"{message} (somebody else stopped the device)") if kind == "safe" else None
+        if kind in ALWAYS:
+            return ALWAYS[kind](message)
+        if self._resting:
+            return None  # the device is in its safe state, and whoever takes the lease is told what stands
+        if kind in UNLESS_RESTING:
+            return UNLESS_RESTING[kind](message)
+        if self._running and kind in WHILE_RUNNING:
+            error, note = WHILE_RUNNING[kind]
+            return error(f"{message}{note}")
+        return None

@@ -7,196 +7,189 @@ the simulated devices are stopped.
 
 from __future__ import annotations
 
-import re
-import threading
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
-from dataclasses import dataclass, replace
-from enum import StrEnum
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+from labhil.bus.latch import read_latch
 from labhil.bus.publish import publish_event
+from labhil.bus.register import registered
 from labhil.bus.session import Bus, open_bus
-from labhil.errors import BusError, LabhilError, RunStoppedError, UsageError
-from labhil.experiment.device_run import DeviceRun
+from labhil.errors import CommandRefusedError, EmergencyStopError, LabhilError, RunStoppedError, UsageError
+from labhil.experiment.control import RunControl, RunState
+from labhil.experiment.devices import Devices
 from labhil.experiment.experiment import TWIN, Experiment
 from labhil.experiment.interruption import Interruption
 from labhil.experiment.plan import DevicePlan, Plan, make_plan
+from labhil.experiment.remote import offer_control
+from labhil.experiment.result import Progress, RunResult, answer_path, recording_path, result_of
 from labhil.experiment.twins import start_twin
-from labhil.service.hosts import HostProcess
 from labhil.service.messages import HostConfig
-from labhil.service.recorder import Recorder, RecordingSummary, StreamSummary
+from labhil.service.recorder import Recorder
+
+__all__ = [
+    "Progress",
+    "RunControl",
+    "RunResult",
+    "RunState",
+    "answer_path",
+    "recording_path",
+    "run_experiment",
+]
 
 PROGRESS_INTERVAL = 0.1
-SILENCE = 3.0
-"""How long the samples of a device may stay away while its host lives, s."""
+AFTER_EMERGENCY_STOP = 2.0
+"""How long hosts stay after an emergency stop, s."""
 
 
-class RunState(StrEnum):
-    """What a run is doing; every change is an event in the recording, with its reason."""
-
-    IDLE = "idle"
-    STARTING = "starting"
-    RUNNING = "running"
-    STOPPING = "stopping"
-    FINISHED = "finished"
-    FAILED = "failed"
-
-
-@dataclass(frozen=True, slots=True)
-class Progress:
-    """How far a run has come: ``elapsed`` of ``duration``, s of the slowest device's clock."""
-
-    state: RunState
-    elapsed: float
-    duration: float
-    message: str
-
-
-@dataclass(frozen=True, slots=True)
-class RunResult:
-    """What came of a run. ``path`` is None when nothing was recorded.
-
-    ``duration`` (s) and the rates of ``streams`` (Hz) are measured, in seconds of the devices' worlds.
-    ``error`` is why it came to grief, None when all went well; ``reason`` says either in words.
-    """
-
-    path: Path | None
-    exit_status: int
-    duration: float
-    streams: tuple[StreamSummary, ...]
-    reason: str
-    error: LabhilError | None = None
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the result as the contract's ``labhil.run/1``."""
-        streams = [
-            {
-                "device": stream.device,
-                "stream": stream.stream,
-                "samples": stream.samples,
-                "gaps": stream.gaps,
-                "rate": stream.rate,
-            }
-            for stream in self.streams
-        ]
-        return {
-            "schema": "labhil.run/1",
-            "path": None if self.path is None else str(self.path),
-            "exit_status": self.exit_status,
-            "duration": self.duration,
-            "streams": streams,
-            "reason": self.reason,
-        }
+class _Enough(Exception):  # noqa: N818 - no error: somebody said that the steps so far are enough
+    pass
 
 
 def run_experiment(
-    experiment: Experiment, out_dir: Path, progress: Callable[[Progress], None] = lambda _progress: None
+    experiment: Experiment,
+    out_dir: Path,
+    progress: Callable[[Progress], None] = lambda _progress: None,
+    control: RunControl | None = None,
 ) -> RunResult:
     """Run ``experiment`` and leave its recording in ``out_dir``, whatever happens on the way.
 
-    Raises ExperimentFileError, RigFileError, or UsageError for a directory that cannot be made, before
-    anything is started. Everything that goes wrong after that is told by the result. In the main thread
-    SIGINT, SIGTERM and SIGHUP stop the run in order.
+    ``control`` is a handle of one's own, to pause, stop or abort this run from another thread; other
+    processes do it over the bus, see :mod:`labhil.experiment.remote`. ``progress`` is told every change of
+    state with its reason, and how far the run has come in between.
+
+    Raises ExperimentFileError, RigFileError, UsageError for a directory that cannot be made or a handle
+    that served another run, or CommandRefusedError while an emergency stop stands, before anything is
+    started. Everything that goes wrong after that is told by the result. In the main thread SIGINT, SIGTERM
+    and SIGHUP abort the run.
     """
+    control = RunControl() if control is None else control
+    if control.state is not RunState.IDLE:
+        raise UsageError(f"a RunControl serves one run; this one's is {control.state.value}: make another")
     plan = make_plan(experiment)
+    standing = read_latch()
+    if standing is not None:
+        raise CommandRefusedError(f"{standing.describe()}; release it with `labhil estop --release`")
     try:
         out_dir.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"{out_dir}: expected a directory for the recording, found {error}") from error
     with Interruption() as interrupted:
-        return _Run(plan, recording_path(experiment, out_dir), progress, interrupted).run()
-
-
-def recording_path(experiment: Experiment, out_dir: Path) -> Path:
-    """Return where the recording goes; where that name is taken, a number is added."""
-    name = re.sub(r"[^\w.+-]+", "_", experiment.experiment.name)
-    start = time.strftime("%Y%m%dT%H%M%S")
-    wanted = out_dir / experiment.record.path.format(name=name, start=start)
-    path, number = wanted, 1
-    while path.exists() or path.with_name(path.name + ".part").exists():
-        number += 1
-        path = wanted.with_name(f"{wanted.stem}-{number}{wanted.suffix}")
-    return path
-
-
-def answer_path(recording: Path, device: str, several: bool) -> Path:
-    """Return where a twin writes what it is made of: beside the recording."""
-    return recording.with_suffix(f".{device}.twin.json" if several else ".twin.json")
+        return _Run(plan, recording_path(experiment, out_dir), progress, interrupted, control).run()
 
 
 class _Run:
     def __init__(
-        self, plan: Plan, path: Path, progress: Callable[[Progress], None], interrupted: Interruption
+        self,
+        plan: Plan,
+        path: Path,
+        progress: Callable[[Progress], None],
+        interrupted: Interruption,
+        control: RunControl,
     ) -> None:
-        self._plan, self._path, self._progress, self._interrupted = plan, path, progress, interrupted
-        self._state = RunState.IDLE
-        self._changed = threading.Event()
+        self._plan, self._path, self._progress = plan, path, progress
+        self._interrupted, self._control = interrupted, control
         self._bus: Bus | None = None
-        self._hosts: list[HostProcess] = []
-        self._devices: list[DeviceRun] = []
-        self._error: LabhilError | None = None
+        self._devices: Devices | None = None
+        self._goes_on_alone = False
 
     def run(self) -> RunResult:
         with ExitStack() as twins:
             try:
-                with open_bus() as self._bus:
+                with open_bus() as self._bus, self._reachable(self._bus):
                     return self._recorded(self._bus, twins)
             except LabhilError as error:
                 # only what happens before there is a recorder, or to the recorder itself, comes by here
+                self._give_up(str(error))
                 return RunResult(self._kept(), error.exit_status, 0.0, (), str(error), error)
             finally:
                 self._bus = None
 
+    @contextmanager
+    def _reachable(self, bus: Bus) -> Iterator[None]:
+        """Let other processes find this run and control it."""
+        names = [device.name for device in self._plan.devices]
+        section = self._plan.experiment.experiment
+        with (
+            registered("run", section.name, bus.endpoint, names),
+            offer_control(bus, self._control, self._describe),
+        ):
+            yield
+
     def _recorded(self, bus: Bus, twins: ExitStack) -> RunResult:
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        recorder = Recorder(bus, self._path, attachments=self._attachments(), metadata=self._metadata())
+        recorder = Recorder(
+            bus,
+            self._path,
+            attachments=self._attachments(),
+            metadata=self._metadata(),
+            on_failure=self._control.changed.set,
+        )
+        name = f"run {self._plan.experiment.experiment.name}"
+        self._devices = devices = Devices(bus, name, self._plan.duration, self._control.changed)
+        error: LabhilError | None = None
+        reason = "all steps are done"
         with recorder, ExitStack() as subscriptions:
             try:
                 self._become(RunState.STARTING, "starting")
-                self._start(bus, twins, subscriptions)
+                self._start(bus, devices, twins, subscriptions)
                 self._become(RunState.RUNNING, "all devices are connected")
-                self._follow(recorder)
-            except LabhilError as error:
-                self._error = error
+                self._follow(recorder, devices)
+            except _Enough as enough:
+                reason = str(enough)
+            except LabhilError as found:
+                error = found
             finally:
-                self._stop_devices()
-            reason = str(self._error) if self._error else "all steps are done"
-            self._become(RunState.FAILED if self._error else RunState.FINISHED, reason)
+                failure = self._stop(devices, error, reason)
+            error = error or failure
+            reason = reason if error is None else str(error)
+            self._become(RunState.FINISHED if error is None else RunState.FAILED, reason)
             subscriptions.close()
-            status = self._error.exit_status if self._error else 0
+            status = 0 if error is None else error.exit_status
             summary = recorder.finish(str(status), reason)
-        return self._result(summary, status, reason)
+        speeds = {run.plan.name: run.speed for run in devices.runs}
+        return result_of(summary, speeds, status, reason, error)
 
     # starting
 
-    def _start(self, bus: Bus, twins: ExitStack, subscriptions: ExitStack) -> None:
-        for device in self._plan.devices:
-            address = device.section.address
-            if address == TWIN:
-                address = self._start_twin(device, twins)
-            config = HostConfig(device.name, device.section.plugin, address, device.rig.limits, bus.endpoint)
-            self._hosts.append(HostProcess(config))
-        for device, host in zip(self._plan.devices, self._hosts, strict=True):
-            connected = host.wait_connected(self._interrupted)
-            run = DeviceRun(bus, device, connected, self._plan.duration, self._changed)
-            self._devices.append(subscriptions.enter_context(run))
-        for run in self._devices:
-            run.take_lease(f"run {self._plan.experiment.experiment.name}")
-        for run in self._devices:
-            run.start()
+    def _start(self, bus: Bus, devices: Devices, twins: ExitStack, subscriptions: ExitStack) -> None:
+        try:
+            for device in self._plan.devices:
+                self._look_at_requests()
+                address = device.section.address
+                if address == TWIN:
+                    address = self._start_twin(device, twins)
+                    self._look_at_requests()
+                devices.start_host(
+                    HostConfig(
+                        device.name,
+                        device.section.plugin,
+                        address,
+                        device.rig.limits,
+                        bus.endpoint,
+                        interlocks=device.rig.interlocks,
+                        reconnect=device.section.reconnect,
+                    )
+                )
+            devices.connect(self._plan.devices, subscriptions, self._is_to_end)
+        except RunStoppedError:
+            self._look_at_requests()  # which knows why, and whether it is an error
+            raise
+        devices.start()
 
     def _start_twin(self, device: DevicePlan, twins: ExitStack) -> str:
         several = sum(other.section.address == TWIN for other in self._plan.devices) > 1
         answer = answer_path(self._path, device.name, several)
         twin, address = start_twin(
-            device.name, device.section.plugin, device.section.twin, answer, self._interrupted
+            device.name, device.section.plugin, device.section.twin, answer, self._is_to_end
         )
         twins.callback(twin.stop)
-        self._refuse_interruption()
         return address
+
+    def _is_to_end(self) -> bool:
+        return self._interrupted() or self._control.is_to_end()
 
     def _attachments(self) -> dict[str, bytes]:
         attachments = {"experiment.toml": self._plan.experiment.public_text().encode()}
@@ -211,80 +204,110 @@ class _Run:
 
     # running
 
-    def _follow(self, recorder: Recorder) -> None:
-        while not all(device.done for device in self._devices):
-            self._changed.wait(PROGRESS_INTERVAL)
-            self._changed.clear()
-            self._refuse_interruption()
+    def _follow(self, recorder: Recorder, devices: Devices) -> None:
+        while not devices.done:
+            self._control.changed.wait(PROGRESS_INTERVAL)
+            self._control.changed.clear()
+            self._look_at_requests()
             if recorder.failure is not None:
                 raise recorder.failure
-            self._look_after_devices()
+            devices.look_after()
+            self._wait_or_go_on(devices)
             self._report("")
 
-    def _look_after_devices(self) -> None:
-        for host in self._hosts:
-            failure = host.failure()
-            if failure is not None:
-                raise failure
-        for device in self._devices:
-            trouble = device.failure()
-            if trouble is not None:
-                raise trouble
-            if time.monotonic() - device.heard_at > SILENCE:
-                raise BusError(f"{device.plan.name}: no samples on the bus for {SILENCE:g} s")
-
-    def _refuse_interruption(self) -> None:
+    def _look_at_requests(self) -> None:
+        """Do what was asked for; raises _Enough or RunStoppedError where that is to end."""
         if self._interrupted():
             raise RunStoppedError(f"stopped by {self._interrupted.reason}")
+        wanted, reason = self._control.take_request() or (None, "")
+        if wanted is RunState.STOPPING:
+            raise _Enough(reason)
+        if wanted is RunState.ABORTING:
+            raise RunStoppedError(reason)
+        if wanted is RunState.PAUSED:
+            self._goes_on_alone = False
+            self._pause(reason)
+        elif wanted is RunState.RUNNING:
+            self._resume(reason)
+
+    def _wait_or_go_on(self, devices: Devices) -> None:
+        """Pause for a device that has to rest; go on by itself only where the device says that it is back."""
+        rest = devices.rest()
+        if self._control.state is RunState.RUNNING and rest:
+            self._goes_on_alone = devices.comes_back()
+            self._pause(rest)
+        elif self._control.state is RunState.PAUSED and self._goes_on_alone:
+            self._goes_on_alone = devices.comes_back()
+            if not rest:
+                self._resume("all devices are back")
+
+    def _pause(self, reason: str) -> None:
+        assert self._devices is not None
+        failure = self._devices.make_safe(f"paused: {reason}")
+        if failure is not None:
+            raise failure
+        self._become(RunState.PAUSED, reason)
+
+    def _resume(self, reason: str) -> None:
+        assert self._devices is not None
+        try:
+            self._devices.start()
+        except CommandRefusedError as error:
+            self._devices.make_safe("not resumed")
+            message = f"the run stays paused: {error}"
+            self._publish("refused", message)
+            self._control.refuse(message)
+            self._report(message)
+            return
+        self._become(RunState.RUNNING, reason)
 
     # stopping
 
-    def _stop_devices(self) -> None:
-        self._become(RunState.STOPPING, str(self._error) if self._error else "all steps are done")
-        for device in self._devices:
-            self._make_safe(device)
-        for host in self._hosts:
-            host.tell_to_end()
-        for host in self._hosts:
-            host.stop()
+    def _stop(self, devices: Devices, error: LabhilError | None, reason: str) -> LabhilError | None:
+        if error is None:
+            self._become(RunState.STOPPING, reason)
+        else:
+            self._become(RunState.ABORTING, str(error))
+        failure = devices.make_safe("the run ends")
+        if isinstance(error, EmergencyStopError):
+            # whoever pressed it has yet to hear from each device, and what these do now is worth recording
+            time.sleep(AFTER_EMERGENCY_STOP)
+        devices.end_hosts()
+        return failure
 
-    def _make_safe(self, device: DeviceRun) -> None:
-        """Ask for the safe state at once; a host that does not answer is ended anyhow, and others go on."""
-        try:
-            device.make_safe("the run ends")
-        except LabhilError as error:
-            self._error = self._error or error
+    def _give_up(self, reason: str) -> None:
+        """Go from wherever the run was to its failed end."""
+        for state in (RunState.ABORTING, RunState.FAILED):
+            if self._control.state not in (state, RunState.FINISHED, RunState.FAILED):
+                self._become(state, reason)
 
     def _become(self, state: RunState, reason: str) -> None:
-        self._state = state
-        if self._bus is not None:
-            event = {"t_ns": time.time_ns(), "kind": state.value, "state": state.value, "message": reason}
-            publish_event(self._bus, "run", event)
+        self._control.become(state, reason)
+        self._publish(state.value, reason)
         self._report(reason)
 
+    def _publish(self, kind: str, message: str) -> None:
+        if self._bus is not None:
+            state = self._control.state.value
+            event = {"t_ns": time.time_ns(), "kind": kind, "state": state, "message": message}
+            publish_event(self._bus, "run", event)
+
     def _report(self, message: str) -> None:
-        elapsed = min((device.elapsed for device in self._devices), default=0.0)
-        duration = self._plan.duration
-        self._progress(Progress(self._state, min(elapsed, duration), duration, message))
+        elapsed, duration = self._elapsed(), self._plan.duration
+        self._progress(Progress(self._control.state, elapsed, duration, message))
 
-    # the result
+    def _elapsed(self) -> float:
+        return 0.0 if self._devices is None else min(self._devices.elapsed, self._plan.duration)
 
-    def _result(self, summary: RecordingSummary, status: int, reason: str) -> RunResult:
-        if not any(stream.samples for stream in summary.streams):
-            # an empty file would only look like a recording
-            summary.path.unlink()
-            return RunResult(None, status, 0.0, (), reason, self._error)
-        speeds = {device.plan.name: device.speed for device in self._devices}
-        streams = tuple(
-            replace(stream, rate=stream.rate / speeds.get(stream.device, 1.0)) for stream in summary.streams
-        )
-        return RunResult(summary.path, status, _duration(streams), streams, reason, self._error)
+    def _describe(self) -> dict[str, Any]:
+        return {
+            "name": self._plan.experiment.experiment.name,
+            "elapsed": self._elapsed(),
+            "duration": self._plan.duration,
+            "devices": [device.name for device in self._plan.devices],
+            "path": str(self._path),
+        }
 
     def _kept(self) -> Path | None:
         part = self._path.with_name(self._path.name + ".part")
         return next((path for path in (self._path, part) if path.exists()), None)
-
-
-def _duration(streams: tuple[StreamSummary, ...]) -> float:
-    spans = [(s.samples + s.gaps - 1) / s.rate for s in streams if s.rate > 0]
-    return max(spans, default=0.0)

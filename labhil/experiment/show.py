@@ -9,7 +9,8 @@ from typing import Self
 import rich.progress
 from rich.console import Console
 
-from labhil.experiment.run import Progress, RunState
+from labhil.experiment.control import RunState
+from labhil.experiment.result import Progress
 
 
 class ProgressBar:

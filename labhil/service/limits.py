@@ -21,16 +21,21 @@ class CommandLimits:
     """Keeps commands within their limits; a signal without limits passes as it is, if it is finite."""
 
     def __init__(self, commands: tuple[Signal, ...], limits: Mapping[str, Limit]) -> None:
-        self._limits = {signal.name: limits.get(signal.name, NO_LIMIT) for signal in commands}
+        self._limits = {
+            column: limits.get(column, limits.get(signal.name, NO_LIMIT))
+            for signal in commands
+            for column in signal.columns()
+        }
 
-    def clipped(self, name: str, value: float, before: float, elapsed: float) -> float:
+    def clipped(self, name: str, value: float, before: float | None, elapsed: float) -> float:
         """Return ``value`` within min, max, and within ``rate``·``elapsed`` of the value ``before``.
 
-        ``elapsed`` is s of the device's clock since ``before`` was sent. The value must be finite.
+        ``elapsed`` is s of the device's clock since ``before`` was sent; None when nothing was. The value
+        must be finite.
         """
         limit = self._limits[name]
         reach = limit.rate * elapsed if elapsed > 0 else 0.0
-        if isfinite(limit.rate):
+        if isfinite(limit.rate) and before is not None:
             value = min(max(value, before - reach), before + reach)
         return min(max(value, limit.min), limit.max)
 

@@ -1,0 +1,110 @@
+"""All devices of a run at once: connected, leased, started, and above all stopped.
+
+Whatever stops devices does it for all of them at the same time and within a bounded time each, so that one
+that fails or hangs keeps no other waiting.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from functools import partial
+
+from labhil.bus.session import Bus
+from labhil.errors import BusError, LabhilError
+from labhil.experiment.device_run import DeviceRun
+from labhil.experiment.plan import DevicePlan
+from labhil.service.hosts import HostProcess
+from labhil.service.messages import HostConfig
+
+SILENCE = 3.0
+"""How long the samples of a device may stay away while its host lives, s."""
+
+
+class Devices:
+    """The devices of one run with their hosts; ``duration`` is that of the steps, s of their clocks."""
+
+    def __init__(self, bus: Bus, holder: str, duration: float, changed: threading.Event) -> None:
+        self.runs: list[DeviceRun] = []
+        self._hosts: list[HostProcess] = []
+        self._bus, self._holder, self._duration, self._changed = bus, holder, duration, changed
+
+    def start_host(self, config: HostConfig) -> None:
+        """Start the host of one device, without waiting for it."""
+        self._hosts.append(HostProcess(config))
+
+    def connect(
+        self, plans: Sequence[DevicePlan], subscriptions: ExitStack, interrupted: Callable[[], bool]
+    ) -> None:
+        """Wait until every host has its device; raises what a driver raised."""
+        for plan, host in zip(plans, self._hosts, strict=True):
+            run = DeviceRun(self._bus, plan, host.wait_connected(interrupted), self._duration, self._changed)
+            self.runs.append(subscriptions.enter_context(run))
+
+    def start(self) -> None:
+        """Take all leases, then let the steps begin, or go on; CommandRefusedError where one is refused."""
+        for run in self.runs:
+            run.take_lease(self._holder)
+        for run in self.runs:
+            run.start()
+
+    @property
+    def done(self) -> bool:
+        """Whether all steps are over."""
+        return all(run.done for run in self.runs)
+
+    @property
+    def elapsed(self) -> float:
+        """How far the slowest device has come, s of its clock."""
+        return min((run.elapsed for run in self.runs), default=0.0)
+
+    def look_after(self) -> None:
+        """Raise what went wrong with a host or its device, if anything did."""
+        for host in self._hosts:
+            failure = host.failure()
+            if failure is not None:
+                raise failure
+        for run in self.runs:
+            trouble = run.failure()
+            if trouble is not None:
+                raise trouble
+            if not run.comes_back and time.monotonic() - run.heard_at > SILENCE:
+                raise BusError(f"{run.plan.name}: no samples on the bus for {SILENCE:g} s")
+
+    def rest(self) -> str:
+        """Why the run has to wait for one of its devices; empty when it does not."""
+        return next((run.rests for run in self.runs if run.rests), "")
+
+    def comes_back(self) -> bool:
+        """Whether every device that the run waits for will say itself when it is ready again."""
+        return all(run.comes_back for run in self.runs if run.rests)
+
+    def make_safe(self, reason: str) -> LabhilError | None:
+        """Bring all devices to their safe states at once; returns what went wrong first, if anything did."""
+        outcomes = at_once([partial(run.make_safe, reason) for run in self.runs])
+        return next((error for error in outcomes if error is not None), None)
+
+    def end_hosts(self) -> None:
+        """End all hosts, which bring their devices to safety, and wait until they are gone."""
+        for host in self._hosts:
+            host.tell_to_end()
+        at_once([host.stop for host in self._hosts])
+
+
+def at_once(actions: Sequence[Callable[[], object]]) -> list[LabhilError | None]:
+    """Do all of this at the same time, and return what each of them raised (of ours), in order."""
+    if not actions:
+        return []
+    with ThreadPoolExecutor(len(actions), thread_name_prefix="at once") as pool:
+        return list(pool.map(_error_of, actions))
+
+
+def _error_of(action: Callable[[], object]) -> LabhilError | None:
+    try:
+        action()
+    except LabhilError as error:
+        return error
+    return None

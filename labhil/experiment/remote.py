@@ -1,0 +1,59 @@
+"""A run controlled from outside: questions on the bus, answered by the process that runs it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+from labhil.bus.ask import Handler, serve
+from labhil.bus.keys import RUN, command_key
+from labhil.bus.session import Bus
+from labhil.errors import CommandRefusedError
+from labhil.experiment.control import RunControl, RunState
+
+ANSWER_WITHIN = 1.5
+"""How long an answer waits for the run to have done what was asked of it, s."""
+
+LONGEST_REASON = 200
+"""Characters of a reason that are kept."""
+
+Describe = Callable[[], Mapping[str, Any]]
+
+
+@contextmanager
+def offer_control(bus: Bus, control: RunControl, describe: Describe) -> Iterator[None]:
+    """Answer on ``lab/@run/cmd/{status,pause,resume,stop,abort}`` as long as the context lasts.
+
+    Each answers with ``{"state", "reason", …}`` and what ``describe`` adds, once the run has done what was
+    asked, or after ``ANSWER_WITHIN`` s as things stand then. ``pause``, ``stop`` and ``abort`` take a
+    ``reason``. What the run's state does not allow, or the run refuses, is answered as refused.
+    """
+    end = (RunState.STOPPING, RunState.ABORTING, RunState.FINISHED, RunState.FAILED)
+    requests: dict[str, tuple[Callable[[str], None], tuple[RunState, ...]]] = {
+        "pause": (control.pause, (RunState.PAUSED, *end)),
+        "resume": (lambda _reason: control.resume(), (RunState.RUNNING, *end)),
+        "stop": (control.stop, end),
+        "abort": (control.abort, end),
+    }
+
+    def status() -> dict[str, Any]:
+        return {"state": control.state.value, "reason": control.reason, **describe()}
+
+    def handler(name: str) -> Handler:
+        request, awaited = requests[name]
+
+        def handle(payload: dict[str, Any]) -> dict[str, Any]:
+            request(str(payload.get("reason", f"told to {name} over the bus"))[:LONGEST_REASON])
+            control.wait_for(*awaited, timeout=ANSWER_WITHIN)
+            if control.refusal:
+                raise CommandRefusedError(control.refusal)
+            return status()
+
+        return handle
+
+    with ExitStack() as stack:
+        stack.enter_context(serve(bus, command_key(RUN, "status"), lambda _payload: status()))
+        for name in requests:
+            stack.enter_context(serve(bus, command_key(RUN, name), handler(name)))
+        yield

@@ -1,0 +1,103 @@
+"""How far a run has come, what came of it, and where its files go."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from labhil.errors import LabhilError
+from labhil.experiment.control import RunState
+from labhil.experiment.experiment import Experiment
+from labhil.service.recorded import StreamSummary
+from labhil.service.recorder import RecordingSummary
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far a run has come: ``elapsed`` of ``duration``, s of the slowest device's clock without pauses."""
+
+    state: RunState
+    elapsed: float
+    duration: float
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
+class RunResult:
+    """What came of a run. ``path`` is None when nothing was recorded.
+
+    ``duration`` (s) and the rates of ``streams`` (Hz) are measured, in seconds of the devices' worlds.
+    ``error`` is why it came to grief, None when all went well; ``reason`` says either in words.
+    """
+
+    path: Path | None
+    exit_status: int
+    duration: float
+    streams: tuple[StreamSummary, ...]
+    reason: str
+    error: LabhilError | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the result as the contract's ``labhil.run/1``."""
+        streams = [
+            {
+                "device": stream.device,
+                "stream": stream.stream,
+                "samples": stream.samples,
+                "gaps": stream.gaps,
+                "rate": stream.rate,
+            }
+            for stream in self.streams
+        ]
+        return {
+            "schema": "labhil.run/1",
+            "path": None if self.path is None else str(self.path),
+            "exit_status": self.exit_status,
+            "duration": self.duration,
+            "streams": streams,
+            "reason": self.reason,
+        }
+
+
+def recording_path(experiment: Experiment, out_dir: Path) -> Path:
+    """Return where the recording goes; where that name is taken, a number is added."""
+    name = re.sub(r"[^\w.+-]+", "_", experiment.experiment.name)
+    start = time.strftime("%Y%m%dT%H%M%S")
+    wanted = out_dir / experiment.record.path.format(name=name, start=start)
+    path, number = wanted, 1
+    while path.exists() or path.with_name(path.name + ".part").exists():
+        number += 1
+        path = wanted.with_name(f"{wanted.stem}-{number}{wanted.suffix}")
+    return path
+
+
+def answer_path(recording: Path, device: str, several: bool) -> Path:
+    """Return where a twin writes what it is made of: beside the recording."""
+    return recording.with_suffix(f".{device}.twin.json" if several else ".twin.json")
+
+
+def result_of(
+    summary: RecordingSummary,
+    speeds: Mapping[str, float],
+    status: int,
+    reason: str,
+    error: LabhilError | None,
+) -> RunResult:
+    """Return what came of a run; ``speeds`` says how fast each device's world ran."""
+    if not any(stream.samples for stream in summary.streams):
+        # an empty file would only look like a recording
+        summary.path.unlink()
+        return RunResult(None, status, 0.0, (), reason, error)
+    streams = tuple(
+        replace(stream, rate=stream.rate / speeds.get(stream.device, 1.0)) for stream in summary.streams
+    )
+    return RunResult(summary.path, status, _duration(streams), streams, reason, error)
+
+
+def _duration(streams: tuple[StreamSummary, ...]) -> float:
+    spans = [(s.samples + s.gaps - 1) / s.rate for s in streams if s.rate > 0]
+    return max(spans, default=0.0)
