@@ -212,13 +212,15 @@ class Server:
             self.controller.upload(parse(text))
 
     def _send_samples(self) -> None:
-        values, tick = self.controller.values, self.controller.ticks
-        for client in self.rtde_clients():
-            if client.conversation.due(tick):
-                try:
-                    client.send(client.conversation.sample(values))
-                except OSError:
-                    self.hang_up(client)
+        tick = self.controller.ticks
+        due = [client for client in self.rtde_clients() if client.conversation.due(tick)]
+        if due:
+            self.controller.publish()
+        for client in due:
+            try:
+                client.send(client.conversation.sample(self.controller.values))
+            except OSError:
+                self.hang_up(client)
 
 
 class ScriptClient(Client):

@@ -60,6 +60,7 @@ class Ur5Twin:
             faults = Faults(settings.faults, server, controller)
             try:
                 controller.tick()
+                controller.publish()
                 ready(settings.host)
                 server.run(side, faults.told, faults.tick)
             finally:
