@@ -217,9 +217,9 @@ class Controller:
         self.reading = reading._replace(current=np.zeros(6)) if off else reading
         self.history.append(self.reading.q)
 
-    def publish(self) -> None:
+    def publish(self, tool: bool = True) -> None:
         """Write all variables for this tick: only where somebody reads them, for it takes its time."""
-        publish(self)
+        publish(self, tool)
 
     def _start_pending(self) -> None:
         if self._pending is None or self._pending[0] > self.ticks or self.runtime is not Runtime.STOPPED:

@@ -23,8 +23,14 @@ ELECTRONICS = 0.6
 """A that the controller draws beside its motors."""
 
 
-def publish(controller: Controller) -> None:
-    """Write all variables for this tick."""
+TOOL = (
+    "actual_TCP_", "target_TCP_", "actual_tool_accelerometer", "tcp_force_", "ft_raw_", "elbow_",
+)  # fmt: skip
+"""How the names of variables begin that are about the tool."""
+
+
+def publish(controller: Controller, tool: bool = True) -> None:
+    """Write all variables for this tick, those about the tool only when they are wanted."""
     values, plan, reading = controller.values, controller.plan, controller.reading
     values["timestamp"] = controller.ticks * controller.period
     values["target_q"], values["target_qd"], values["target_qdd"] = (
@@ -45,7 +51,8 @@ def publish(controller: Controller) -> None:
     values["actual_robot_current"] = ELECTRONICS + _motor_current(controller)
     if "actual_current_as_torque" in values:
         values["actual_current_as_torque"] = _six(reading.current * controller.arm.torque_constant)
-    _tool(controller)
+    if tool:
+        _tool(controller)
     _modes(controller)
 
 

@@ -65,8 +65,10 @@ class Ur5Twin:
                 server.run(side, faults.told, faults.tick)
             finally:
                 server.close()
-                if server.missed:
-                    tell(f"{server.missed} ticks were given up: the machine had no time for them")
+                if server.missed or server.untold:
+                    tell(
+                        f"the machine was too slow: {server.missed} ticks left out, {server.untold} too late"
+                    )
 
 
 def tell(message: str) -> None:

@@ -7,6 +7,7 @@ prints one line a check: its name and "ok", or what went wrong. Its exit status 
 
 from __future__ import annotations
 
+import itertools
 import math
 import sys
 import time
@@ -21,6 +22,8 @@ import rtde_receive
 HOST = sys.argv[1]
 HOME = [0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0]
 CHECKS: dict[str, Callable[[], None]] = {}
+SINCE = {"state_queries_of_e_series": (5, 11), "dashboard_of_e_series": (5, 6), "dynamics_of_5_23": (5, 23)}
+"""Checks that need a controller of some version."""
 
 
 def check(function: Callable[[], None]) -> Callable[[], None]:
@@ -62,6 +65,19 @@ def eventually(true: Callable[[], bool], within: float = 10.0) -> None:
         time.sleep(0.002)
 
 
+def near_pose(found: list[float], wanted: list[float], within: float) -> None:
+    """The same pose; a rotation by half a turn has two vectors."""
+    near(found[:3], wanted[:3], within)
+    near([abs(x) for x in found[3:]], [abs(x) for x in wanted[3:]], within)
+
+
+def restart() -> None:
+    """Begin the program anew; a command that the dead one was given would be carried out again."""
+    robot.control.kickWatchdog()
+    assert robot.control.reuploadScript()
+    eventually(robot.control.isProgramRunning)
+
+
 def settle() -> None:
     eventually(lambda: max(map(abs, robot.receive.getTargetQd())) == 0.0)
 
@@ -80,7 +96,7 @@ def receive_every_getter() -> None:
     assert max(map(abs, r.getActualCurrent())) > 0.5
     assert max(map(abs, r.getTargetMoment())) > 5.0
     assert len(r.getJointControlOutput()) == len(r.getActualTCPForce()) == len(r.getActualTCPSpeed()) == 6
-    near(r.getActualTCPPose(), r.getTargetTCPPose(), 0.01)
+    near_pose(r.getActualTCPPose(), r.getTargetTCPPose(), 0.01)
     assert len(r.getTargetTCPSpeed()) == 6
     assert r.getActualDigitalInputBits() == 0
     assert all(20.0 < t < 60.0 for t in r.getJointTemperatures())
@@ -120,7 +136,9 @@ def receive_subset_and_unknown() -> None:
         last = some.getTimestamp()
         eventually(lambda last=last: some.getTimestamp() > last)
         times.append(some.getTimestamp())
-    assert all(round((b - a) / 0.008) % round(0.02 / 0.008) in (0, 1, 2) for a, b in zip(times, times[1:], strict=False))
+    assert all(
+        round((b - a) / 0.008) % round(0.02 / 0.008) in (0, 1, 2) for a, b in itertools.pairwise(times)
+    )
     some.disconnect()
     try:
         rtde_receive.RTDEReceiveInterface(HOST, 50.0, ["timestamp", "no_such_thing"])
@@ -155,7 +173,7 @@ def move_joints_to_pose() -> None:
     pose = robot.receive.getTargetTCPPose()
     pose[2] += 0.05
     assert robot.control.moveJ_IK(pose, 1.5, 4.0)
-    near(robot.receive.getTargetTCPPose(), pose, 1e-6)
+    near_pose(robot.receive.getTargetTCPPose(), pose, 1e-6)
 
 
 @check
@@ -170,7 +188,7 @@ def move_line() -> None:
         now = robot.receive.getTargetTCPPose()
         worst = max(worst, abs(now[0] - start[0]), abs(now[2] - start[2]))
     settle()
-    near(robot.receive.getTargetTCPPose(), pose, 1e-6)
+    near_pose(robot.receive.getTargetTCPPose(), pose, 1e-6)
     assert worst < 1e-6, "the way was no straight line"
 
 
@@ -233,7 +251,7 @@ def path_of_lines_with_progress() -> None:
         seen.add(robot.control.getAsyncOperationProgress())
     assert {0, 1} <= seen, seen
     settle()
-    near(robot.receive.getTargetTCPPose(), end, 1e-4)
+    near_pose(robot.receive.getTargetTCPPose(), end, 1e-4)
 
 
 @check
@@ -248,7 +266,7 @@ def path_of_both() -> None:
     path.addEntry(entry(entry.MoveL, entry.PositionTcpPose, [*pose, 0.25, 1.0, 0.0]))
     assert robot.control.movePath(path, False)
     settle()
-    near(robot.receive.getTargetTCPPose(), pose, 1e-4)
+    near_pose(robot.receive.getTargetTCPPose(), pose, 1e-4)
 
 
 @check
@@ -276,7 +294,7 @@ def servo_pose_and_circular() -> None:
         assert robot.control.servoL(pose, 0.0, 0.0, 0.008, 0.05, 1000.0)
         time.sleep(0.01)
     assert robot.control.servoStop()
-    near(robot.receive.getTargetTCPPose(), pose, 1e-3)
+    near_pose(robot.receive.getTargetTCPPose(), pose, 1e-3)
     pose[2] -= 0.03
     assert robot.control.servoC(pose, 0.1, 0.5)
     eventually(lambda: math.dist(robot.receive.getTargetTCPPose()[:3], pose[:3]) < 1e-3)
@@ -308,7 +326,10 @@ def speed_tool() -> None:
 @check
 def jog() -> None:
     home()
-    for feature in (rtde_control.RTDEControlInterface.FEATURE_BASE, rtde_control.RTDEControlInterface.FEATURE_TOOL):
+    for feature in (
+        rtde_control.RTDEControlInterface.FEATURE_BASE,
+        rtde_control.RTDEControlInterface.FEATURE_TOOL,
+    ):
         assert robot.control.jogStart([0, 0, 0.04, 0, 0, 0], int(feature))
         eventually(lambda: math.dist(robot.receive.getTargetTCPSpeed()[:3], (0, 0, 0)) > 0.035)
         assert robot.control.jogStop()
@@ -319,7 +340,7 @@ def jog() -> None:
 def kinematics() -> None:
     home()
     control, receive = robot.control, robot.receive
-    near(control.getForwardKinematics(), receive.getActualTCPPose(), 1e-3)
+    near_pose(control.getForwardKinematics(), receive.getActualTCPPose(), 1e-3)
     q = [0.2, -1.2, 1.1, -1.3, -1.4, 0.3]
     pose = control.getForwardKinematics(q, [0.0, 0.0, 0.1, 0.0, 0.0, 0.001])
     flange = control.poseTrans(pose, [0.0, 0.0, -0.1, 0.0, 0.0, -0.001])
@@ -340,7 +361,9 @@ def tool_and_payload() -> None:
     home()
     offset = [0.0, 0.0, 0.1, 0.0, 0.0, 0.0]
     # the client does not wait for the answer to this command: its first answer is an old one
-    eventually(lambda: math.dist(control.getActualToolFlangePose()[:3], receive.getActualTCPPose()[:3]) < 1e-3)
+    eventually(
+        lambda: math.dist(control.getActualToolFlangePose()[:3], receive.getActualTCPPose()[:3]) < 1e-3
+    )
     bare = control.getActualToolFlangePose()
     assert control.setTcp(offset)
     near(control.getTCPOffset(), offset, 1e-12)
@@ -383,7 +406,7 @@ def state_queries_of_e_series() -> None:
     control.getActualJointPositionsHistory(5)
     time.sleep(0.05)
     near(control.getActualJointPositionsHistory(5), HOME, 0.01)
-    near(control.getTargetWaypoint(), robot.receive.getTargetTCPPose(), 1e-6)
+    near_pose(control.getTargetWaypoint(), robot.receive.getTargetTCPPose(), 1e-6)
     assert control.getFreedriveStatus() == 0
     assert control.toolContact([0.0] * 6) >= 0
     assert control.setTargetPayload(1.0, [0.0, 0.0, 0.02], [0.0] * 6)
@@ -438,17 +461,17 @@ def programs() -> None:
     control.stopScript()
     assert not control.isProgramRunning()
     assert not control.moveJ(HOME, 1.0, 1.0)
-    assert control.reuploadScript()
-    eventually(control.isProgramRunning)
-    assert control.reuploadScript()
-    eventually(control.isProgramRunning)
+    restart()
+    restart()
     home()
 
 
 @check
 def custom_program() -> None:
     home()
-    script = "set_standard_digital_out(3, True)\nmovej([0.2, -1.5, 1.5, -1.5, -1.5, 0], a=3, v=1)\nsleep(0.05)"
+    script = (
+        "set_standard_digital_out(3, True)\nmovej([0.2, -1.5, 1.5, -1.5, -1.5, 0], a=3, v=1)\nsleep(0.05)"
+    )
     assert robot.control.sendCustomScriptFunction("custom", script)
     near(robot.receive.getTargetQ(), [0.2, -1.5, 1.5, -1.5, -1.5, 0.0], 1e-6)
     assert robot.receive.getActualDigitalOutputBits() >> 3 & 1
@@ -461,8 +484,7 @@ def pose_out_of_reach_ends_the_program() -> None:
     home()
     assert not control.moveJ_IK([5.0, 0, 0, 0, 0, 0], 1.0, 1.0)
     assert not control.isProgramRunning()
-    assert control.reuploadScript()
-    eventually(control.isProgramRunning)
+    restart()
 
 
 @check
@@ -485,8 +507,7 @@ def protective_stop_and_unlock() -> None:
     time.sleep(0.5)
     robot.dashboard.unlockProtectiveStop()
     eventually(lambda: not receive.isProtectiveStopped())
-    assert control.reuploadScript()
-    eventually(control.isProgramRunning)
+    restart()
     home()
 
 
@@ -501,8 +522,7 @@ def joint_range_stops_the_arm() -> None:
     time.sleep(0.5)
     robot.dashboard.unlockProtectiveStop()
     eventually(lambda: not robot.receive.isProtectiveStopped())
-    assert robot.control.reuploadScript()
-    eventually(robot.control.isProgramRunning)
+    restart()
     assert robot.control.moveJ(HOME, 3.1, 10.0)
 
 
@@ -518,8 +538,7 @@ def watchdog_ends_the_program() -> None:
     assert control.isProgramRunning()
     eventually(lambda: not control.isProgramRunning())
     settle()
-    assert control.reuploadScript()
-    eventually(control.isProgramRunning)
+    restart()
     home()
 
 
@@ -530,8 +549,7 @@ def two_motions_at_once_end_the_program() -> None:
     assert control.servoJ(HOME, 0.0, 0.0, 0.008, 0.1, 300.0)
     time.sleep(0.05)
     assert not control.moveJ([0.1, *HOME[1:]], 1.0, 1.0)
-    assert control.reuploadScript()
-    eventually(control.isProgramRunning)
+    restart()
     home()
 
 
@@ -542,7 +560,11 @@ def io_outputs() -> None:
     assert io.setStandardDigitalOut(2, True)
     assert io.setConfigurableDigitalOut(1, True)
     assert io.setToolDigitalOut(0, True)
-    eventually(lambda: receive.getActualDigitalOutputBits() & (1 << 2 | 1 << 9 | 1 << 16) == 1 << 2 | 1 << 9 | 1 << 16)
+    eventually(
+        lambda: (
+            receive.getActualDigitalOutputBits() & (1 << 2 | 1 << 9 | 1 << 16) == 1 << 2 | 1 << 9 | 1 << 16
+        )
+    )
     assert receive.getDigitalOutState(2)
     assert io.setStandardDigitalOut(2, False)
     assert io.setConfigurableDigitalOut(1, False)
@@ -628,8 +650,7 @@ def power_cycle() -> None:
     d.powerOn()
     d.brakeRelease()
     eventually(lambda: receive.getRobotMode() == 7)
-    assert robot.control.reuploadScript()
-    eventually(robot.control.isProgramRunning)
+    restart()
     home()
 
 
@@ -659,13 +680,18 @@ def upper_registers() -> None:
     interface = rtde_control.RTDEControlInterface
     control = interface(HOST, -1.0, interface.FLAG_UPLOAD_SCRIPT | interface.FLAG_UPPER_RANGE_REGISTERS)
     assert control.moveJ([0.1, *HOME[1:]], 2.0, 5.0)
-    near(control.getForwardKinematics(), robot.receive.getActualTCPPose(), 1e-3)
+    near_pose(control.getForwardKinematics(), robot.receive.getActualTCPPose(), 1e-3)
     control.disconnect()
+
+
+def _for_this_version() -> list[str]:
+    major, minor = (int(part) for part in robot.dashboard.polyscopeVersion().split(".")[:2])
+    return [name for name in CHECKS if (major, minor) >= SINCE.get(name, (0, 0))]
 
 
 def main() -> int:
     bad = 0
-    for name in sys.argv[2:] or CHECKS:
+    for name in sys.argv[2:] or _for_this_version():
         try:
             CHECKS[name]()
             said = "ok"
