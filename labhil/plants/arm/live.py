@@ -1,0 +1,243 @@
+"""A simulated arm that keeps pace with a clock: one sample at a time, within some tens of µs.
+
+The same world as :class:`~labhil.plants.arm.plant.ArmPlant` (effects, friction, warmth, sensors, servo),
+with the rigid body by recursion instead of a physics engine.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from labhil.compiled import compiled
+from labhil.plants.arm.effects import Given, resolve
+from labhil.plants.arm.elastic import ElasticBody, Springs
+from labhil.plants.arm.friction import Friction, Memory, Warmth, rub
+from labhil.plants.arm.links import JOINTS, UR5, Links, Vector
+from labhil.plants.arm.newton_euler import RecursiveBody, Table, recursion
+from labhil.plants.arm.rigid_body import Load
+from labhil.plants.arm.sensors import Sensors
+from labhil.plants.arm.servo import Lag, Motion, track, walk
+from labhil.signals import FloatArray
+
+ONE = np.zeros(1)
+
+
+class Extra(NamedTuple):
+    """Torques beside links and friction, (6,) each: ripple, inertia of the drives kg·m², steady N·m."""
+
+    amplitude: FloatArray
+    order: FloatArray
+    phase: FloatArray
+    inertia: FloatArray
+    force: FloatArray
+
+
+class State(NamedTuple):
+    """What is true now, (6,) each: rad, rad/s and N·m."""
+
+    q: FloatArray
+    qd: FloatArray
+    body: FloatArray
+    expected: FloatArray
+    friction: FloatArray
+    torque: FloatArray
+
+
+class Moment(NamedTuple):
+    """What the controller plans at one moment: rad, rad/s, rad/s², (6,) each."""
+
+    q: FloatArray
+    qd: FloatArray
+    qdd: FloatArray
+
+
+class Sample(NamedTuple):
+    """What the sensors of an arm say, (6,) each: rad, rad/s, A, °C; the supply's voltage, V.
+
+    ``target_current`` A and ``target_moment`` N·m are what the controller expects of the plan, by its own
+    model; ``friction`` (6,) N·m is the truth, which nobody measures.
+    """
+
+    q: FloatArray
+    qd: FloatArray
+    current: FloatArray
+    temperature: FloatArray
+    voltage: float
+    target_current: FloatArray
+    target_moment: FloatArray
+    friction: FloatArray
+
+
+class LiveArm:
+    """The world of one arm, sample by sample; parameters, terms and errors as for ``ArmPlant``.
+
+    ``hidden_cable`` is refused (it needs the physics engine); ``stamp_jitter`` has no meaning here.
+    """
+
+    def __init__(
+        self,
+        parameters: Given | None = None,
+        terms: Iterable[str] = (),
+        seed: int = 0,
+        links: Links = UR5,
+    ) -> None:
+        self.links = links
+        self._values = values = resolve(tuple(terms), parameters or {})
+        self._expected = RecursiveBody(links)
+        self._body = RecursiveBody(links, Load.of(values.numbers))
+        springs = Springs.of(values)
+        self._elastic = ElasticBody(self._body, springs) if springs is not None else None
+        self._friction, self._warmth = Friction.of(values), Warmth.of(values)
+        noise, world = np.random.default_rng(seed).spawn(2)
+        self._sensors, self._world = Sensors.of(values, noise), world
+        self._bandwidth = values.number("servo_bandwidth")
+        self._late = values.number("clock_offset.offset")
+        six = values.six
+        self._extra = Extra(
+            six("torque_ripple.amplitude"),
+            six("torque_ripple.order"),
+            six("torque_ripple.phase"),
+            six("added_inertia.inertia"),
+            six("constant_force.force"),
+        )
+        self._state = State(*(np.zeros(JOINTS) for _ in State._fields))
+        self._temperature = values.six("start_temperature").copy()
+        self._h = np.zeros(1)
+        self.place(np.zeros(JOINTS))
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Every number in force by its key: ``coulomb_friction.level[2]`` for joint 2."""
+        return self._values.by_key()
+
+    @property
+    def torque_constant(self) -> FloatArray:
+        """N·m/A at the joints (6,)."""
+        return self._warmth.torque_constant
+
+    def place(self, q: FloatArray) -> None:
+        """Put the arm at rest at the angles (6,), rad; joints stay as warm as they are."""
+        still = np.zeros(JOINTS)
+        self._clock = 0.0
+        self._past = deque([(0.0, Moment(np.array(q, dtype=np.float64), still, still))])
+        self._seen = Lag.settled(still, self._bandwidth)
+        self._behind = Lag.settled(still, self._bandwidth)
+        if self._elastic is not None:
+            self._elastic.settle(np.array(q, dtype=np.float64), still, still)
+        stuck = self._world.uniform(-1.0, 1.0, JOINTS)
+        bent = stuck * self._friction.coulomb / np.maximum(self._friction.stiffness, 1.0)
+        self._memory = Memory(
+            np.array(q, dtype=np.float64), still.copy(), stuck, bent, self._temperature.copy()
+        )
+
+    def expect(self, mass: float, centre: Vector, gravity: Vector) -> None:
+        """Tell the controller's model what the flange carries (kg, m) and which way weight pulls (m/s²)."""
+        self._expected = RecursiveBody(self.links)
+        self._expected.table.carry(mass, centre)
+        self._expected.table.gravity[:] = gravity
+
+    def expected(self) -> RecursiveBody:
+        """The controller's own model of the arm."""
+        return self._expected
+
+    def step(self, plan: Moment, h: float) -> Sample:
+        """Let h (s) pass while the drives follow the plan to a moment; sample then."""
+        self._clock += h
+        self._h[0] = h
+        behind = plan
+        if self._late > 0.0:
+            self._past.append((self._clock, plan))
+            behind = self._earlier()
+        state = self._state
+        if self._elastic is not None:
+            motion = track(_motion(behind), self._h, self._bandwidth, _copied(self._behind))
+            state.body[:] = self._elastic.torques(motion, self._h)[0]
+        advance(
+            plan, behind, self._h, self._bandwidth, self._seen, self._behind, self._elastic is None,
+            self._body.table, self._expected.table, self._memory, self._friction, self._warmth, self._extra,
+            state,
+        )  # fmt: skip
+        self._temperature = self._memory.temperature
+        return self._sampled()
+
+    def _earlier(self) -> Moment:
+        """The plan as it was ``clock_offset`` ago, on straight lines between ticks."""
+        wanted, past = self._clock - self._late, self._past
+        while len(past) > 2 and past[1][0] <= wanted:
+            past.popleft()
+        (begin, first), (end, last) = past[0], past[1]
+        share = min(max((wanted - begin) / (end - begin), 0.0), 1.0)
+        return Moment(*(a + share * (b - a) for a, b in zip(first, last, strict=True)))
+
+    def _sampled(self) -> Sample:
+        """Measure; arrays are the caller's own."""
+        sensors, constant, state = self._sensors, self._warmth.torque_constant, self._state
+        current = state.torque / constant
+        power = state.torque * state.qd + self._warmth.resistance * current * current
+        return Sample(
+            q=sensors.angles(state.q),
+            qd=sensors.velocities(state.qd),
+            current=sensors.currents(current[None])[0],
+            temperature=sensors.temperatures(self._memory.temperature),
+            voltage=float(sensors.voltage(power.sum(keepdims=True))[0]),
+            target_current=state.expected / constant,
+            target_moment=state.expected.copy(),
+            friction=state.friction.copy(),
+        )
+
+
+def _motion(moment: Moment) -> Motion:
+    return Motion(ONE, moment.q[None], moment.qd[None], moment.qdd[None])
+
+
+def _copied(lag: Lag) -> Lag:
+    return Lag(lag.error.copy(), lag.rate.copy(), lag.planned.copy())
+
+
+@compiled
+def advance(
+    plan: Moment,
+    behind: Moment,
+    h: FloatArray,
+    bandwidth: float,
+    seen_lag: Lag,
+    behind_lag: Lag,
+    rigid: bool,
+    body: Table,
+    expected: Table,
+    memory: Memory,
+    friction: Friction,
+    warmth: Warmth,
+    extra: Extra,
+    state: State,
+) -> None:
+    """Carry the world over one tick, in place; ``state.body`` is given where the joints are not rigid."""
+    one = (1, 6)
+    q, qd, qdd = np.empty(one), np.empty(one), np.empty(one)
+    walk(as_row(plan.q), as_row(plan.qd), as_row(plan.qdd), h, bandwidth, seen_lag, q, qd, qdd)
+    state.q[:], state.qd[:] = q[0], qd[0]
+    walk(as_row(behind.q), as_row(behind.qd), as_row(behind.qdd), h, bandwidth, behind_lag, q, qd, qdd)
+    if rigid:
+        recursion(body, q[0], qd[0], qdd[0], state.body)
+    recursion(expected, plan.q, plan.qd, plan.qdd, state.expected)
+    other, rubbed, warm = np.empty(one), np.empty(one), np.empty(one)
+    for j in range(6):
+        other[0, j] = (
+            extra.amplitude[j] * np.sin(extra.order[j] * q[0, j] + extra.phase[j])
+            + extra.inertia[j] * qdd[0, j]
+            + extra.force[j]
+        )
+    rub(q, qd, h, as_row(state.body), other, memory, friction, warmth, rubbed, warm)
+    for j in range(6):
+        state.friction[j] = rubbed[0, j]
+        state.torque[j] = state.body[j] + rubbed[0, j] + other[0, j]
+
+
+@compiled
+def as_row(values: FloatArray) -> FloatArray:
+    """Return six values as a row (1, 6)."""
+    return values.copy().reshape((1, 6))
