@@ -6,6 +6,7 @@ into its inbox; only ``safe`` reaches past it, since a device must be stopped ev
 
 from __future__ import annotations
 
+import math
 import queue
 import time
 from collections.abc import Callable
@@ -20,7 +21,7 @@ from labhil.bus.live import announce
 from labhil.bus.publish import StreamPublisher, publish_event
 from labhil.bus.session import Bus
 from labhil.bus.subscribe import subscribe
-from labhil.driver import DeviceInfo, Driver
+from labhil.driver import DeviceInfo, Driver, TimedDriver
 from labhil.errors import BusError, CommandRefusedError, DeviceSilentError
 from labhil.service.lease import Lease
 from labhil.service.limits import CommandLimits, SampleLimits
@@ -51,6 +52,7 @@ def command_stream(state: Stream, commands: tuple[Signal, ...]) -> Stream:
                     f"{signal.name}_{suffix}",
                     signal.unit,
                     Direction.REQUESTED,
+                    width=signal.width,
                     hold=signal.hold,
                     description=f"{signal.name}, {what}",
                 )
@@ -74,6 +76,7 @@ class Commanded:
     requested: dict[str, float]
     applied: dict[str, float]
     sent_at: float = 0.0
+    sent_for_ns: int | None = None
     unheard: float = 0.0
     count: int = 0
 
@@ -103,6 +106,7 @@ class DeviceControl:
         spec = driver.spec
         self.state = HostState.IDLE
         self._reason = "connected"
+        self._timed = driver if isinstance(driver, TimedDriver) else None
         self._lease = Lease()
         self._command_limits = CommandLimits(spec.commands, config.limits)
         self._sample_limits = SampleLimits(spec.stream, spec.commands, config.limits)
@@ -171,9 +175,12 @@ class DeviceControl:
     def _take_in(self, batch: Batch) -> None:
         self._clock = Clock(int(batch.t_hw_ns[-1]), int(batch.t_acq_ns[-1]))
         self._states.put(batch)
-        self._violation = self._sample_limits.violation(batch)
+        self._violation = self._sample_limits.violation(batch) or self._trouble()
         if self._violation is not None and self.state is not HostState.TRIPPED:
             self._to_safety(HostState.TRIPPED, self._violation)
+
+    def _trouble(self) -> str | None:
+        return (self._timed.trouble() or None) if self._timed is not None else None
 
     # what comes from the bus, still in the bus's threads
 
@@ -298,22 +305,39 @@ class DeviceControl:
             self._become(HostState.ACTIVE, f"commanded by {self._lease.holder!r}")
         commanded.requested.update(setpoint.values)
         commanded.unheard = 0.0
-        self._send(now)
+        self._send(now, setpoint.t_hw_ns)
 
-    def _send(self, now: float) -> None:
+    def _send(self, now: float, t_hw_ns: int | None = None) -> None:
         commanded = self._commanded
-        elapsed = (now - commanded.sent_at) * self._info.speed
+        elapsed = self._elapsed(now, t_hw_ns)
         commanded.applied = {
-            name: self._command_limits.clipped(name, value, commanded.applied[name], elapsed)
+            name: self._command_limits.clipped(name, value, commanded.applied.get(name), elapsed)
             for name, value in commanded.requested.items()
         }
         commanded.sent_at = now
-        self._driver.command(commanded.applied)
+        if self._timed is not None and t_hw_ns is not None:
+            commanded.sent_for_ns = t_hw_ns
+            self._timed.command_at(commanded.applied, t_hw_ns)
+        else:
+            self._driver.command(commanded.applied)
+        self._record_command(commanded)
+
+    def _elapsed(self, now: float, t_hw_ns: int | None) -> float:
+        """How long what was sent before has had its effect, s of the device's clock."""
+        before = self._commanded.sent_for_ns
+        if self._timed is None:
+            return (now - self._commanded.sent_at) * self._info.speed
+        if t_hw_ns is None or before is None:
+            return math.inf  # the driver takes its own time to get there
+        return (t_hw_ns - before) * 1e-9
+
+    def _record_command(self, commanded: Commanded) -> None:
         t_ns = time.time_ns()
         row = [
-            value
-            for name in commanded.requested
-            for value in (commanded.requested[name], commanded.applied[name])
+            values.get(column, math.nan)
+            for signal in self._driver.spec.commands
+            for values in (commanded.requested, commanded.applied)
+            for column in signal.columns()
         ]
         t_hw_ns = self._clock.at(t_ns, self._info.speed)
         self._commands.put(Batch.of([(commanded.count, t_ns, t_hw_ns, row)], self._command_width))
@@ -338,6 +362,7 @@ class DeviceControl:
         self._lease.revoke()
         safe = self._driver.spec.safe
         self._commanded.requested, self._commanded.applied = dict(safe), dict(safe)
+        self._commanded.sent_for_ns = None
         self._become(state, reason, kind)
 
     def _become(self, state: HostState, reason: str, kind: str | None = None) -> None:

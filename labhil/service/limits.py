@@ -18,19 +18,27 @@ NO_LIMIT = Limit()
 
 
 class CommandLimits:
-    """Keeps commands within their limits; a signal without limits passes as it is, if it is finite."""
+    """Keeps commands within their limits; a signal without limits passes as it is, if it is finite.
+
+    A vector's columns have the vector's limits, or their own where the rig file gives them.
+    """
 
     def __init__(self, commands: tuple[Signal, ...], limits: Mapping[str, Limit]) -> None:
-        self._limits = {signal.name: limits.get(signal.name, NO_LIMIT) for signal in commands}
+        self._limits = {
+            column: limits.get(column, limits.get(signal.name, NO_LIMIT))
+            for signal in commands
+            for column in signal.columns()
+        }
 
-    def clipped(self, name: str, value: float, before: float, elapsed: float) -> float:
+    def clipped(self, name: str, value: float, before: float | None, elapsed: float) -> float:
         """Return ``value`` within min, max, and within ``rate``·``elapsed`` of the value ``before``.
 
-        ``elapsed`` is s of the device's clock since ``before`` was sent. The value must be finite.
+        ``elapsed`` is s of the device's clock since ``before`` was sent; None when nothing was. The value
+        must be finite.
         """
         limit = self._limits[name]
         reach = limit.rate * elapsed if elapsed > 0 else 0.0
-        if isfinite(limit.rate):
+        if isfinite(limit.rate) and before is not None:
             value = min(max(value, before - reach), before + reach)
         return min(max(value, limit.min), limit.max)
 
@@ -62,10 +70,15 @@ class SampleLimits:
         self._high = np.full(stream.width, np.inf)
         self._checked = np.zeros(stream.width, dtype=np.bool_)
         commanded = {signal.name for signal in commands}
-        for name in stream.names():
-            limit = limits.get(name)
+        for signal in stream.signals:
+            limit = limits.get(signal.name)
+            place = stream.columns_of(signal.name)
             if limit is not None:
-                self._add(stream.columns_of(name), limit, name in commanded)
+                self._add(place, limit, signal.name in commanded)
+            for number, column in enumerate(signal.columns() if signal.width > 1 else ()):
+                if column in limits:
+                    one = slice(place.start + number, place.start + number + 1)
+                    self._add(one, limits[column], signal.name in commanded)
 
     def _add(self, columns: slice, limit: Limit, commanded: bool) -> None:
         span = limit.max - limit.min
