@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from labhil.console import split_names, tell, write_json
-from labhil.driver import DriverSpec
 from labhil.errors import UsageError
-from labhil.signals import Signal
+
+if TYPE_CHECKING:
+    from labhil.driver import DriverSpec
+    from labhil.signals import Signal
 
 
 def add_acquisition(app: typer.Typer) -> None:
