@@ -96,6 +96,7 @@ class Player:
         step = self._dt / STOPPING_TIME
         if self._stopping:
             wanted = min(wanted, self._rate - step)
+        wanted = max(wanted, self._rate - 2.0 * self._dt / SLOWING)
         return max(0.0, min(wanted, self._rate + step))
 
     def _path(self) -> Joints:

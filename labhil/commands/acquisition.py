@@ -43,6 +43,13 @@ def twin(
     speed: Annotated[float, typer.Option(help="How many seconds of its world pass in one.")] = 1.0,
     wire: Annotated[str, typer.Option(help="pty or tcp.")] = "pty",
     answer: Annotated[Path | None, typer.Option(help="Write what it is made of to this file.")] = None,
+    host: Annotated[
+        str | None,
+        typer.Option(metavar="IP", help="Address of this machine for a networked twin: 127.0.0.2, …"),
+    ] = None,
+    series: Annotated[
+        str | None, typer.Option(help="Make of its controller (ur5: cb3, e, or a version such as 5.11.1).")
+    ] = None,
     parameters: Annotated[bool, typer.Option("--list", help="Print terms and settings, and end.")] = False,
 ) -> None:
     """Start a simulated device on the real wire.
@@ -60,7 +67,7 @@ def twin(
             print(f"--set {name}={value:g}")
         return
     chosen = parse_settings(settings or [])
-    options = TwinOptions(seed, speed, split_names(terms), chosen, wire, answer)
+    options = TwinOptions(seed, speed, split_names(terms), chosen, wire, answer, host, series)
     device.serve(options, lambda address: print(address, flush=True))
 
 

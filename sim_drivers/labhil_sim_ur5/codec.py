@@ -1,0 +1,145 @@
+"""RTDE's binary format: packages, recipes and the types of their fields (protocol version 2, big-endian)."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+Value = float | tuple[float, ...]
+"""One variable: a number (int, float or bool), or a tuple of three or six."""
+
+HEADER = struct.Struct(">HB")
+LARGEST = 65535
+
+FORMATS: Mapping[str, str] = {
+    "BOOL": "?",
+    "UINT8": "B",
+    "UINT32": "I",
+    "UINT64": "Q",
+    "INT32": "i",
+    "DOUBLE": "d",
+    "VECTOR3D": "3d",
+    "VECTOR6D": "6d",
+    "VECTOR6INT32": "6i",
+    "VECTOR6UINT32": "6I",
+}
+"""The types of the protocol and how :mod:`struct` writes them."""
+WIDTHS: Mapping[str, int] = {name: int(form[:-1] or 1) for name, form in FORMATS.items()}
+"""How many numbers a type holds."""
+
+
+class Command(IntEnum):
+    """What a package is: the third byte of its header."""
+
+    PROTOCOL_VERSION = 86
+    CONTROLLER_VERSION = 118
+    TEXT = 77
+    DATA = 85
+    OUTPUTS = 79
+    INPUTS = 73
+    START = 83
+    PAUSE = 80
+
+
+class FramingError(ValueError):
+    """Bytes that cannot be a package."""
+
+
+def package(command: int, payload: bytes = b"") -> bytes:
+    """Return a whole package; FramingError when the payload is longer than 65532 bytes."""
+    size = HEADER.size + len(payload)
+    if size > LARGEST:
+        raise FramingError(f"a package holds at most {LARGEST - HEADER.size} bytes, found {len(payload)}")
+    return HEADER.pack(size, command) + payload
+
+
+class Framer:
+    """Cuts a stream of bytes into packages."""
+
+    def __init__(self) -> None:
+        self._buffer = bytearray()
+
+    def packages(self, data: bytes) -> Iterator[tuple[int, bytes]]:
+        """Take what came in; yield each complete package as (command, payload).
+
+        Raises FramingError for a size that is smaller than the header; what follows is lost then.
+        """
+        buffer = self._buffer
+        buffer += data
+        while len(buffer) >= HEADER.size:
+            size, command = HEADER.unpack_from(buffer)
+            if size < HEADER.size:
+                buffer.clear()
+                raise FramingError(f"a package of {size} bytes: expected at least {HEADER.size}")
+            if len(buffer) < size:
+                return
+            payload = bytes(buffer[HEADER.size : size])
+            del buffer[:size]
+            yield command, payload
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """Variables in the order in which a data package holds them; ``types`` are names of ``FORMATS``."""
+
+    names: tuple[str, ...]
+    types: tuple[str, ...]
+    _struct: struct.Struct = field(init=False, repr=False, compare=False)
+    _widths: tuple[int, ...] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        form = "".join(FORMATS[name] for name in self.types)
+        # frozen: what follows from the types is worked out once
+        object.__setattr__(self, "_struct", struct.Struct(f">{form}"))
+        object.__setattr__(self, "_widths", tuple(WIDTHS[name] for name in self.types))
+
+    @property
+    def size(self) -> int:
+        """Bytes of its fields, without header and recipe id."""
+        return self._struct.size
+
+    def pack(self, values: Mapping[str, Value]) -> bytes:
+        """Return the fields as bytes; struct.error for numbers that do not fit their type."""
+        flat: list[float] = []
+        for name in self.names:
+            value = values[name]
+            if isinstance(value, tuple):
+                flat.extend(value)
+            else:
+                flat.append(value)
+        return self._struct.pack(*flat)
+
+    def unpack(self, data: bytes) -> dict[str, Value]:
+        """Read fields from the beginning of ``data``; FramingError when it is too short."""
+        if len(data) < self._struct.size:
+            raise FramingError(f"{len(data)} bytes for a recipe of {self._struct.size}")
+        flat = self._struct.unpack_from(data)
+        found: dict[str, Value] = {}
+        place = 0
+        for name, width in zip(self.names, self._widths, strict=True):
+            found[name] = flat[place] if width == 1 else flat[place : place + width]
+            place += width
+        return found
+
+
+def data_package(recipe_id: int, fields: bytes) -> bytes:
+    """Return a data package that carries packed fields."""
+    return package(Command.DATA, bytes([recipe_id]) + fields)
+
+
+def text_package(message: str, source: str = "labhil", level: int = 2) -> bytes:
+    """Return a text message (level 0 exception, 1 error, 2 warning, 3 info)."""
+    said, by = message.encode()[:255], source.encode()[:255]
+    return package(Command.TEXT, bytes([len(said)]) + said + bytes([len(by)]) + by + bytes([level]))
+
+
+def listed(payload: bytes) -> tuple[str, ...]:
+    """Return the names in a comma-separated list; an empty one at its end, as clients send it, is none."""
+    return tuple(name.strip() for name in payload.decode("ascii", "replace").split(",") if name.strip())
+
+
+def type_list(recipe_id: int, types: Sequence[str]) -> bytes:
+    """Return the answer to a setup request: the recipe's id and its types."""
+    return bytes([recipe_id]) + ",".join(types).encode()

@@ -1,0 +1,189 @@
+"""Where the tool of a UR arm is, how fast, and which joint angles bring it somewhere; all in closed form.
+
+Arms of this class have three parallel axes (shoulder, elbow, first wrist) and a wrist whose axes cross in
+pairs; with standard Denavit-Hartenberg rows only d1, a2, a3, d4, d5, d6 differ between them. Every inverse
+is exact and checked against the forward kinematics by the tests.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import acos, atan2, cos, hypot, pi, sin, sqrt
+
+import numpy as np
+
+from labhil.errors import UsageError
+from labhil.plants.arm.links import Links
+from labhil.signals import FloatArray
+from labhil_sim_ur5.poses import (
+    NO_OFFSET,
+    Point,
+    Pose,
+    Rotation,
+    inverse,
+    nearest_turn,
+    pose_times,
+    rotation_of,
+    turned,
+    vector_of,
+)
+
+Joints = tuple[float, float, float, float, float, float]
+
+JOINT_LIMIT = 2.0 * pi
+"""How far (rad) a joint turns either way."""
+WRIST_STRAIGHT = 1e-6
+"""Sine of joint 4 (from 0) below which the last joint's angle is free."""
+REACH_SLACK = 1e-9
+_PATTERN = (pi / 2, 0.0, 0.0, pi / 2, -pi / 2, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    """Lengths of the arm, m."""
+
+    d1: float
+    a2: float
+    a3: float
+    d4: float
+    d5: float
+    d6: float
+
+    @classmethod
+    def of(cls, links: Links) -> Geometry:
+        """Take them from a table of links; UsageError for one that is not of this class."""
+        if any(abs(link.alpha - angle) > 1e-9 for link, angle in zip(links.links, _PATTERN, strict=True)):
+            raise UsageError(f"links of {links.name}: the twin's kinematics need a UR arm's twist angles")
+        one, two, three, four, five, six = links.links
+        return cls(one.d, two.a, three.a, four.d, five.d, six.d)
+
+    def flange(self, q: Sequence[float]) -> tuple[Point, Rotation]:
+        """Return place (m) and rotation of the flange in the base's frame at joint angles (6,) rad."""
+        c1, s1, c5, s5, c6, s6 = cos(q[0]), sin(q[0]), cos(q[4]), sin(q[4]), cos(q[5]), sin(q[5])
+        q23 = q[1] + q[2]
+        c, s = cos(q23 + q[3]), sin(q23 + q[3])
+        reach = self.a2 * cos(q[1]) + self.a3 * cos(q23) + self.d5 * s
+        x, y = s1 * s5 + c1 * c * c5, s1 * c * c5 - c1 * s5
+        zx, zy, zz = c5 * s1 - c1 * c * s5, -c1 * c5 - s1 * c * s5, -s * s5
+        place = (
+            self.d6 * zx + self.d4 * s1 + c1 * reach,
+            self.d6 * zy - self.d4 * c1 + s1 * reach,
+            self.d1 + self.d6 * zz + self.a2 * sin(q[1]) + self.a3 * sin(q23) - self.d5 * c,
+        )
+        return place, (
+            c6 * x - s6 * c1 * s, -s6 * x - c6 * c1 * s, zx,
+            c6 * y - s6 * s1 * s, -s6 * y - c6 * s1 * s, zy,
+            c * s6 + c5 * c6 * s, c * c6 - c5 * s6 * s, zz,
+        )  # fmt: skip
+
+    def pose(self, q: Sequence[float], tool: Pose = NO_OFFSET) -> Pose:
+        """Return the tool's pose at joint angles (6,) rad; ``tool`` is its pose on the flange."""
+        place, rotation = self.flange(q)
+        flange: Pose = (*place, *vector_of(rotation))
+        return flange if tool == NO_OFFSET else pose_times(flange, tool)
+
+    def jacobian(self, q: Sequence[float], tool: Pose = NO_OFFSET) -> FloatArray:
+        """Return the Jacobian (6, 6): velocity (m/s) and rate (rad/s) of the tool per joint rate."""
+        place, rotation = self.flange(q)
+        if tool != NO_OFFSET:
+            x, y, z = turned(rotation, tool[:3])
+            place = (place[0] + x, place[1] + y, place[2] + z)
+        columns = []
+        for axis, at in self._axes(q, rotation):
+            r = (place[0] - at[0], place[1] - at[1], place[2] - at[2])
+            columns.append(
+                (
+                    axis[1] * r[2] - axis[2] * r[1],
+                    axis[2] * r[0] - axis[0] * r[2],
+                    axis[0] * r[1] - axis[1] * r[0],
+                    *axis,
+                )
+            )
+        return np.array(columns).T
+
+    def _axes(self, q: Sequence[float], rotation: Rotation) -> Iterator[tuple[Point, Point]]:
+        """Direction and one point of each joint's axis."""
+        c1, s1, q23 = cos(q[0]), sin(q[0]), q[1] + q[2]
+        c, s = cos(q23 + q[3]), sin(q23 + q[3])
+        across = (s1, -c1, 0.0)
+        elbow = self.a2 * cos(q[1])
+        wrist = elbow + self.a3 * cos(q23)
+        height = self.d1 + self.a2 * sin(q[1])
+        top = height + self.a3 * sin(q23)
+        yield (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
+        yield across, (0.0, 0.0, self.d1)
+        yield across, (c1 * elbow, s1 * elbow, height)
+        yield across, (c1 * wrist, s1 * wrist, top)
+        at = (c1 * wrist + self.d4 * s1, s1 * wrist - self.d4 * c1, top)
+        yield (c1 * s, s1 * s, -c), at
+        last = (rotation[2], rotation[5], rotation[8])
+        yield last, (at[0] + self.d5 * c1 * s, at[1] + self.d5 * s1 * s, at[2] - self.d5 * c)
+
+    def inverse(self, pose: Pose, near: Sequence[float], tool: Pose = NO_OFFSET) -> Joints | None:
+        """Return the joint angles that bring the tool to a pose, those nearest to ``near`` (6,) rad.
+
+        None where the arm does not reach.
+        """
+        flange = pose if tool == NO_OFFSET else pose_times(pose, inverse(tool))
+        solutions = self.solutions(flange, near)
+        return min(solutions, key=lambda q: _distance(q, near), default=None)
+
+    def solutions(self, flange: Pose, near: Sequence[float]) -> list[Joints]:
+        """Return all joint angles that bring the flange to a pose, up to eight, each turned towards ``near``."""
+        r = rotation_of(*flange[3:])
+        found = []
+        for first in self._first_joints(flange, r):
+            c1, s1 = cos(first), sin(first)
+            cosine = (flange[0] * s1 - flange[1] * c1 - self.d4) / self.d6
+            if abs(cosine) > 1.0 + REACH_SLACK / self.d6:
+                continue
+            bend = acos(min(max(cosine, -1.0), 1.0))
+            for fifth in (bend, -bend):
+                last = _last_joint(r, c1, s1, sin(fifth), near[5])
+                found += [
+                    (first, second, third, fourth, fifth, last)
+                    for second, third, fourth in self._plane(flange, r, c1, s1, sin(fifth), last)
+                ]
+        return [_turned(q, near) for q in found]
+
+    def _first_joints(self, flange: Pose, r: Rotation) -> tuple[float, ...]:
+        x, y = flange[0] - self.d6 * r[2], flange[1] - self.d6 * r[5]
+        far = hypot(x, y)
+        if far < abs(self.d4) - REACH_SLACK or far == 0.0:
+            return ()
+        open_angle = acos(min(max(self.d4 / far, -1.0), 1.0))
+        towards = atan2(y, x) + pi / 2
+        return (towards + open_angle, towards - open_angle)
+
+    def _plane(
+        self, flange: Pose, r: Rotation, c1: float, s1: float, s5: float, last: float
+    ) -> Iterator[tuple[float, float, float]]:
+        """Angles of the three parallel joints, given the others."""
+        c6, s6 = cos(last), sin(last)
+        c = s6 * r[6] + c6 * r[7]
+        s = -(s6 * (c1 * r[0] + s1 * r[3]) + c6 * (c1 * r[1] + s1 * r[4]))
+        x = c1 * flange[0] + s1 * flange[1] + self.d6 * c * s5 - self.d5 * s
+        z = flange[2] - self.d1 + self.d6 * s * s5 + self.d5 * c
+        cosine = (x * x + z * z - self.a2**2 - self.a3**2) / (2.0 * self.a2 * self.a3)
+        if abs(cosine) > 1.0 + REACH_SLACK:
+            return
+        bend = acos(min(max(cosine, -1.0), 1.0))
+        for third in (bend, -bend):
+            second = atan2(z, x) - atan2(self.a3 * sin(third), self.a2 + self.a3 * cos(third))
+            yield second, third, atan2(s, c) - second - third
+
+
+def _last_joint(r: Rotation, c1: float, s1: float, s5: float, near: float) -> float:
+    if abs(s5) < WRIST_STRAIGHT:
+        return near
+    return atan2((r[4] * c1 - r[1] * s1) / s5, (r[0] * s1 - r[3] * c1) / s5)
+
+
+def _turned(q: Joints, near: Sequence[float]) -> Joints:
+    a, b, c, d, e, f = (nearest_turn(x, y, JOINT_LIMIT) for x, y in zip(q, near, strict=True))
+    return (a, b, c, d, e, f)
+
+
+def _distance(q: Sequence[float], near: Sequence[float]) -> float:
+    return sqrt(sum((x - y) ** 2 for x, y in zip(q, near, strict=True)))

@@ -1,0 +1,277 @@
+"""How the controller gets from where it is to where a program wants it: one object a motion.
+
+A motion is asked once a tick for the next angles, velocities and accelerations that the controller plans.
+It runs in its own time, which the controller lets pass slower when the speed slider is down.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import sqrt
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from labhil.signals import FloatArray
+from labhil_sim_ur5.kinematics import Geometry
+from labhil_sim_ur5.poses import Pose, rotation_of, times, transposed, turned, vector_of
+
+SPEED_LIMIT = 3.3
+"""rad/s of a joint, beyond which the safety system stops the arm (UR5: 180°/s, and what it tolerates)."""
+JOINT_SPEED = 3.14159
+"""rad/s that planned joint motions keep to."""
+ACCELERATION_LIMIT = 40.0
+"""rad/s² that joint motions keep to, as the client does."""
+SLOWEST = 1e-4
+"""rad/s or m/s, and their rates: slower wishes are taken as this."""
+AT_REST = 1e-6
+
+
+class MotionError(Exception):
+    """A motion that the arm cannot follow: beyond its reach, through a singularity, too fast."""
+
+
+class Plan(NamedTuple):
+    """What the controller plans for one moment: rad, rad/s, rad/s², (6,) each."""
+
+    q: FloatArray
+    qd: FloatArray
+    qdd: FloatArray
+
+    @classmethod
+    def resting(cls, q: Sequence[float] | FloatArray) -> Plan:
+        """At rest at the angles q."""
+        return cls(np.array(q, dtype=np.float64), np.zeros(6), np.zeros(6))
+
+
+class Motion(Protocol):
+    """One motion; ``done`` when nothing of it is left."""
+
+    done: bool
+
+    def advance(self, h: float) -> Plan:
+        """Let h (s) pass and return the plan then. MotionError when the arm cannot follow."""
+        ...
+
+
+class Trapezoid:
+    """A way from 0 to ``length`` with steady acceleration up to a speed, and down again."""
+
+    def __init__(self, length: float, speed: float, acceleration: float) -> None:
+        self.length = length
+        self._a = max(acceleration, SLOWEST)
+        self._ramp = max(speed, SLOWEST) / self._a
+        if length < self._a * self._ramp**2:
+            self._ramp = sqrt(length / self._a)
+        top = self._a * self._ramp
+        self._cruise = (length - top * self._ramp) / top if top > 0.0 else 0.0
+        self.duration = 2.0 * self._ramp + self._cruise
+
+    def at(self, t: float) -> tuple[float, float, float]:
+        """Return how far, how fast and how much faster at t (s)."""
+        a, ramp = self._a, self._ramp
+        if t >= self.duration:
+            return self.length, 0.0, 0.0
+        if t < ramp:
+            return 0.5 * a * t * t, a * t, a
+        left = self.duration - t
+        if left < ramp:
+            return self.length - 0.5 * a * left * left, a * left, -a
+        return a * ramp * (t - 0.5 * ramp), a * ramp, 0.0
+
+
+class JointMove:
+    """``movej``: all joints begin and end together; the one with the longest way keeps speed and acceleration."""
+
+    def __init__(self, begin: FloatArray, end: FloatArray, speed: float, acceleration: float) -> None:
+        self._begin, self._end = begin.copy(), np.array(end, dtype=np.float64)
+        self._way = self._end - self._begin
+        longest = float(np.abs(self._way).max())
+        self._share = self._way / longest if longest > 0.0 else np.zeros(6)
+        self._profile = Trapezoid(longest, min(speed, JOINT_SPEED), min(acceleration, ACCELERATION_LIMIT))
+        self._t = 0.0
+        self.done = False
+
+    def advance(self, h: float) -> Plan:
+        """Let h (s) pass and return the plan then."""
+        self._t += h
+        if self._t >= self._profile.duration:
+            self.done = True
+            return Plan.resting(self._end)
+        s, sd, sdd = self._profile.at(self._t)
+        return Plan(self._begin + self._share * s, self._share * sd, self._share * sdd)
+
+
+class LineMove:
+    """``movel``: the tool goes straight, its rotation about one axis; v and a in m/s, m/s².
+
+    Where the tool turns by more rad than it moves by m, v and a are rad/s and rad/s² of the turn.
+    """
+
+    def __init__(
+        self, arm: Geometry, tool: Pose, begin: FloatArray, end: Pose, speed: float, acceleration: float
+    ) -> None:
+        self._arm, self._tool = arm, tool
+        first = arm.pose(begin, tool)
+        self._from = first[:3]
+        self._way = np.subtract(end[:3], first[:3])
+        self._rotation = rotation_of(*first[3:])
+        self._turn = np.array(vector_of(times(transposed(self._rotation), rotation_of(*end[3:]))))
+        length = max(float(np.linalg.norm(self._way)), float(np.linalg.norm(self._turn)))
+        self._profile = Trapezoid(length, speed, acceleration)
+        spin = turned(self._rotation, (self._turn[0], self._turn[1], self._turn[2]))
+        self._twist = np.array([*self._way, *spin]) / length if length > 0.0 else np.zeros(6)
+        self._q, self._qd = begin.copy(), np.zeros(6)
+        self._t = 0.0
+        self.done = False
+
+    def advance(self, h: float) -> Plan:
+        """Let h (s) pass and return the plan then; MotionError out of reach or through a singularity."""
+        self._t += h
+        s, sd, _ = self._profile.at(self._t)
+        share = s / self._profile.length if self._profile.length > 0.0 else 1.0
+        place = self._from + share * self._way
+        turn = vector_of(times(self._rotation, rotation_of(*(share * self._turn))))
+        q = self._arm.inverse((*place, *turn), self._q, self._tool)
+        if q is None:
+            raise MotionError("the tool's way leads out of the arm's reach")
+        now = np.array(q)
+        if np.abs(now - self._q).max() > SPEED_LIMIT * h + 1e-3:
+            raise MotionError("the tool's way leads through a singularity: a joint would have to jump")
+        self.done = self._t >= self._profile.duration
+        qd = np.zeros(6) if self.done else joint_rates(self._arm, now, self._tool, self._twist * sd)
+        qdd = np.zeros(6) if self.done else (qd - self._qd) / h
+        self._q, self._qd = now, qd
+        return Plan(now, qd, qdd)
+
+
+class Servo:
+    """``servoj``: the plan follows a set point that may change at any tick.
+
+    q̈ = gain·(q_set − q − lookahead·q̇), within the joints' limits: natural frequency √gain rad/s, damping
+    ½·lookahead·√gain, lag ``lookahead`` behind a ramp. The manufacturer does not publish its own law; this
+    one has its two numbers and what is said of them: more gain is stiffer, more lookahead smoother.
+    """
+
+    def __init__(self, now: Plan) -> None:
+        self._q, self._qd = now.q.copy(), now.qd.copy()
+        self._set = now.q.copy()
+        self._gain, self._lookahead = 300.0, 0.1
+        self.done = False
+
+    def aim(self, q: Sequence[float], lookahead: float, gain: float) -> None:
+        """Set the angles (6,) to go to."""
+        self._set = np.array(q, dtype=np.float64)
+        self._lookahead, self._gain = min(max(lookahead, 0.03), 0.2), min(max(gain, 100.0), 2000.0)
+
+    def advance(self, h: float) -> Plan:
+        """Let h (s) pass, by an implicit step that is stable for all gains."""
+        k, before = self._gain, self._qd
+        wanted = (before + h * k * (self._set - self._q)) / (1.0 + h * k * self._lookahead + h * h * k)
+        wanted = np.clip(wanted, -JOINT_SPEED, JOINT_SPEED)
+        step = np.clip(wanted - before, -ACCELERATION_LIMIT * h, ACCELERATION_LIMIT * h)
+        self._qd = before + step
+        self._q = self._q + h * self._qd
+        return Plan(self._q.copy(), self._qd.copy(), step / h)
+
+
+class JointSpeed:
+    """``speedj``: joint velocities, reached together with a steady acceleration of the fastest to change."""
+
+    def __init__(self, now: Plan) -> None:
+        self._q, self._qd = now.q.copy(), now.qd.copy()
+        self._set, self._a = self._qd.copy(), 0.5
+        self.done = False
+
+    def aim(self, qd: Sequence[float], acceleration: float) -> None:
+        """Set the velocities (6,) rad/s to go to, and how fast (rad/s²)."""
+        self._set = np.clip(np.array(qd, dtype=np.float64), -JOINT_SPEED, JOINT_SPEED)
+        self._a = min(max(acceleration, SLOWEST), ACCELERATION_LIMIT)
+
+    def advance(self, h: float) -> Plan:
+        """Let h (s) pass and return the plan then."""
+        before = self._qd
+        self._qd = _towards(before, self._set, self._a * h)
+        self._q = self._q + 0.5 * h * (before + self._qd)
+        return Plan(self._q.copy(), self._qd.copy(), (self._qd - before) / h)
+
+
+class ToolSpeed:
+    """``speedl``: velocity and rate of the tool (6,) m/s and rad/s in the base's frame."""
+
+    def __init__(self, now: Plan, arm: Geometry, tool: Pose) -> None:
+        self._arm, self._tool = arm, tool
+        self._q, self._qd = now.q.copy(), now.qd.copy()
+        self._twist = arm.jacobian(self._q, tool) @ self._qd
+        self._set, self._a = self._twist.copy(), 0.25
+        self.done = False
+
+    def aim(self, twist: Sequence[float], acceleration: float) -> None:
+        """Set the velocity to go to, and how fast: m/s² (rad/s² of the turn)."""
+        self._set = np.array(twist, dtype=np.float64)
+        self._a = max(acceleration, SLOWEST)
+
+    def advance(self, h: float) -> Plan:
+        """Let h (s) pass and return the plan then; MotionError near a singularity."""
+        self._twist = _towards(self._twist, self._set, self._a * h)
+        before = self._qd
+        middle = self._q + 0.5 * h * before
+        self._qd = joint_rates(self._arm, middle, self._tool, self._twist)
+        self._q = self._q + h * self._qd
+        return Plan(self._q.copy(), self._qd.copy(), (self._qd - before) / h)
+
+
+class Halt:
+    """``stopj`` and ``stopl``: along the way the joints go, down to rest with a steady deceleration."""
+
+    def __init__(self, now: Plan, time: float) -> None:
+        self._q, self._first = now.q.copy(), now.qd.copy()
+        self._time = time
+        self._t = 0.0
+        self.done = time <= 0.0
+
+    @classmethod
+    def of_joints(cls, now: Plan, deceleration: float) -> Halt:
+        """The fastest joint loses ``deceleration`` rad/s²."""
+        fastest = float(np.abs(now.qd).max())
+        if fastest < AT_REST:
+            return cls(now, 0.0)
+        return cls(now, fastest / min(max(deceleration, SLOWEST), ACCELERATION_LIMIT))
+
+    @classmethod
+    def of_tool(cls, now: Plan, deceleration: float, arm: Geometry, tool: Pose) -> Halt:
+        """The tool loses ``deceleration`` m/s² (or rad/s² of its turn, if that takes longer)."""
+        if float(np.abs(now.qd).max()) < AT_REST:
+            return cls(now, 0.0)
+        twist = arm.jacobian(now.q, tool) @ now.qd
+        speed = max(float(np.linalg.norm(twist[:3])), float(np.linalg.norm(twist[3:])))
+        shortest = float(np.abs(now.qd).max()) / ACCELERATION_LIMIT
+        return cls(now, max(speed / max(deceleration, SLOWEST), shortest))
+
+    def advance(self, h: float) -> Plan:
+        """Let h (s) pass and return the plan then."""
+        self._t = min(self._t + h, self._time)
+        if self._t >= self._time:
+            self.done = True
+            return Plan.resting(self._q + 0.5 * self._time * self._first)
+        left = 1.0 - self._t / self._time
+        q = self._q + self._first * (self._t - 0.5 * self._t**2 / self._time)
+        return Plan(q, self._first * left, -self._first / self._time)
+
+
+def joint_rates(arm: Geometry, q: FloatArray, tool: Pose, twist: FloatArray) -> FloatArray:
+    """Return the joint rates (6,) rad/s for a tool's velocity; MotionError near a singularity."""
+    try:
+        rates = np.linalg.solve(arm.jacobian(q, tool), twist)
+    except np.linalg.LinAlgError as error:
+        raise MotionError("the tool cannot move that way in this position: it is singular") from error
+    if not np.abs(rates).max() <= SPEED_LIMIT:
+        raise MotionError("a joint would have to turn too fast: near a singularity, or the tool too fast")
+    return rates
+
+
+def _towards(now: FloatArray, wanted: FloatArray, step: float) -> FloatArray:
+    """Go from now to wanted along a straight line, the component with the longest way by at most ``step``."""
+    missing = wanted - now
+    longest = float(np.abs(missing).max())
+    return wanted.copy() if longest <= step else now + missing * (step / longest)

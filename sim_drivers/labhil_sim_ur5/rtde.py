@@ -1,0 +1,136 @@
+"""Port 30004: one client's conversation, its recipes and its data packages."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+
+from labhil_sim_ur5.codec import (
+    Command,
+    Framer,
+    FramingError,
+    Recipe,
+    Value,
+    data_package,
+    listed,
+    package,
+    text_package,
+    type_list,
+)
+from labhil_sim_ur5.variables import Version, input_types, output_types
+
+PROTOCOL = 2
+MOST_RECIPES = 255
+
+
+class Variables:
+    """What there is to read and to set, and which client has taken which input."""
+
+    def __init__(self, version: Version) -> None:
+        self.version = version
+        self.outputs = output_types(version)
+        self.inputs = input_types(version)
+        self.taken: dict[str, Conversation] = {}
+
+
+class Conversation:
+    """One client of port 30004: bytes in, answers and inputs out."""
+
+    def __init__(self, variables: Variables) -> None:
+        self._variables = variables
+        self._framer = Framer()
+        self._inputs: list[Recipe | None] = []
+        self._output: Recipe | None = None
+        self._every = 1
+        self.started = False
+        self.ignored = 0
+        """Data packages that did not fit their recipe."""
+        self.received: list[Mapping[str, Value]] = []
+        """What was set, in order; emptied by who takes it."""
+
+    def receive(self, data: bytes) -> bytes:
+        """Take bytes; return the answers. FramingError when they make no sense."""
+        return b"".join(self._answer(command, payload) for command, payload in self._framer.packages(data))
+
+    def due(self, tick: int) -> bool:
+        """Tell whether this tick is one that the client wants to hear of."""
+        return self.started and self._output is not None and tick % self._every == 0
+
+    def sample(self, values: Mapping[str, Value]) -> bytes:
+        """Return the data package for the values as they are."""
+        assert self._output is not None
+        return data_package(1, self._output.pack(values))
+
+    def close(self) -> None:
+        """Let go of all inputs."""
+        taken = self._variables.taken
+        for name in [name for name, by in taken.items() if by is self]:
+            del taken[name]
+
+    def _answer(self, command: int, payload: bytes) -> bytes:
+        match command:
+            case Command.PROTOCOL_VERSION:
+                wanted = struct.unpack(">H", payload)[0] if len(payload) == 2 else 0
+                return package(command, bytes([wanted == PROTOCOL]))
+            case Command.CONTROLLER_VERSION:
+                version = self._variables.version
+                return package(
+                    command, struct.pack(">4I", version.major, version.minor, version.bugfix, version.build)
+                )
+            case Command.OUTPUTS:
+                return package(command, self._setup_outputs(payload))
+            case Command.INPUTS:
+                return package(command, self._setup_inputs(payload))
+            case Command.START:
+                self.started = self._output is not None or bool(self._inputs)
+                return package(command, bytes([self.started]))
+            case Command.PAUSE:
+                self.started = False
+                return package(command, b"\x01")
+            case Command.DATA:
+                self._take(payload)
+                return b""
+            case Command.TEXT:
+                return b""
+        return text_package(f"unknown command {command}")
+
+    def _setup_outputs(self, payload: bytes) -> bytes:
+        if len(payload) < 8:
+            return type_list(0, ())
+        frequency = struct.unpack_from(">d", payload)[0]
+        names = listed(payload[8:])
+        types = [self._variables.outputs.get(name, "NOT_FOUND") for name in names]
+        if "NOT_FOUND" in types or not names:
+            self._output = None
+            return type_list(0, types)
+        rate = self._variables.version.rate
+        self._every = max(round(rate / min(max(frequency, 1.0), rate)), 1)
+        self._output = Recipe(names, tuple(types))
+        return type_list(1, types)
+
+    def _setup_inputs(self, payload: bytes) -> bytes:
+        names = listed(payload)
+        types = [self._input_type(name) for name in names]
+        good = bool(names) and not {"NOT_FOUND", "IN_USE"} & set(types) and len(self._inputs) < MOST_RECIPES
+        # the client counts its recipes itself: a bad one has a number too
+        self._inputs.append(Recipe(names, tuple(types)) if good else None)
+        if good:
+            self._variables.taken.update(dict.fromkeys(names, self))
+        return type_list(len(self._inputs) if good else 0, types)
+
+    def _input_type(self, name: str) -> str:
+        kind = self._variables.inputs.get(name, "NOT_FOUND")
+        by = self._variables.taken.get(name)
+        return "IN_USE" if kind != "NOT_FOUND" and by is not None and by is not self else kind
+
+    def _take(self, payload: bytes) -> None:
+        number = payload[0] if payload else 0
+        recipe = self._inputs[number - 1] if 0 < number <= len(self._inputs) else None
+        if recipe is None or len(payload) - 1 < recipe.size:
+            self.ignored += 1
+            return
+        # the client sends more than the recipe holds in one of its calls: what is over is no field
+        self.received.append(recipe.unpack(payload[1:]))
+
+
+__all__ = ["Conversation", "FramingError", "Variables"]

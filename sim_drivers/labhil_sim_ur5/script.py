@@ -1,0 +1,119 @@
+"""What the twin understands of an uploaded script: which program it is, its registers, its paths, simple lines."""
+
+from __future__ import annotations
+
+import ast
+import re
+from dataclasses import dataclass
+
+CONTROL_PROGRAM = "rtde_control"
+"""Name of the client's own program; the twin knows its contract and does not interpret it."""
+_PATH = "# inject move path"
+_OFFSET = re.compile(r"global reg_offset_int\s*=\s*# int register offset\s*\n\s*(\d+)")
+_NAME = re.compile(r"^\s*(?:def|sec)\s+(\w+)\s*\(", re.MULTILINE)
+_CALL = re.compile(r"^\s*(\w+)\((.*)\)\s*$")
+
+
+@dataclass(frozen=True, slots=True)
+class Statement:
+    """One call: its name and arguments; a pose ``p[…]`` is marked by the keyword ``pose`` of its place."""
+
+    name: str
+    arguments: tuple[object, ...]
+    keywords: dict[str, object]
+    poses: tuple[bool, ...]
+    line: str
+
+    def number(self, keyword: str, place: int, default: float) -> float:
+        """A number by keyword or place."""
+        value = self.keywords.get(keyword)
+        if value is None and place < len(self.arguments):
+            value = self.arguments[place]
+        return float(value) if isinstance(value, int | float) else default
+
+    def six(self) -> tuple[float, ...] | None:
+        """The first argument as six numbers, None when it is something else."""
+        first = self.arguments[0] if self.arguments else None
+        if isinstance(first, list) and len(first) == 6 and all(isinstance(x, int | float) for x in first):
+            return tuple(float(x) for x in first)
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class Script:
+    """An uploaded program: ``path`` holds the moves injected into the client's own, ``body`` another's lines."""
+
+    name: str
+    control: bool
+    offset: int
+    path: tuple[Statement, ...]
+    body: tuple[Statement, ...]
+
+
+def parse(text: str) -> Script:
+    """Read an uploaded script; lines that are no plain call have the name of what they are instead."""
+    named = _NAME.search(text)
+    name = named.group(1) if named else "<unnamed>"
+    if name == CONTROL_PROGRAM or "signal_async_operation_started" in text:
+        found = _OFFSET.search(text)
+        offset = int(found.group(1)) if found else 0
+        return Script(name, True, offset, _path(text), ())
+    return Script(name, False, 0, (), tuple(_statements(text.splitlines())))
+
+
+def _path(text: str) -> tuple[Statement, ...]:
+    lines = text[text.find(_PATH) :].splitlines()[1:] if _PATH in text else []
+    ends = next((i for i, line in enumerate(lines) if line.strip() == "end"), len(lines))
+    return tuple(_statements(lines[:ends]))
+
+
+def _statements(lines: list[str]) -> list[Statement]:
+    found = []
+    for line in lines:
+        code = line.partition("#")[0].strip()
+        if code and not code.startswith(("def ", "sec ")) and code != "end":
+            found.append(_statement(code))
+    return found
+
+
+def _statement(code: str) -> Statement:
+    call = _CALL.match(code)
+    if call is None:
+        return Statement(code.split()[0], (), {}, (), code)
+    inside = re.sub(r"\bp\[", "POSE+[", call.group(2))
+    try:
+        tree = ast.parse(f"f({inside})", mode="eval").body
+        assert isinstance(tree, ast.Call)
+        arguments = tuple(_literal(node) for node in tree.args)
+        keywords = {word.arg or "": _literal(word.value) for word in tree.keywords}
+    except (SyntaxError, ValueError, AssertionError):
+        return Statement(call.group(1), (), {}, (), code)
+    return Statement(call.group(1), arguments, keywords, tuple(map(_is_pose, tree.args)), code)
+
+
+def _is_pose(node: ast.expr) -> bool:
+    return isinstance(node, ast.BinOp) and isinstance(node.left, ast.Name) and node.left.id == "POSE"
+
+
+def _literal(node: ast.expr) -> object:
+    """A number, a truth value, text or a list of numbers; ValueError for anything else."""
+    if _is_pose(node):
+        assert isinstance(node, ast.BinOp)
+        return _literal(node.right)
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add | ast.Sub | ast.Mult | ast.Div):
+        return _arithmetic(node.op, _literal(node.left), _literal(node.right))
+    return ast.literal_eval(node)
+
+
+def _arithmetic(operator: ast.operator, left: object, right: object) -> float:
+    if not isinstance(left, int | float) or not isinstance(right, int | float):
+        raise ValueError("not numbers")
+    if isinstance(operator, ast.Add):
+        return left + right
+    if isinstance(operator, ast.Sub):
+        return left - right
+    if isinstance(operator, ast.Mult):
+        return left * right
+    if right == 0:
+        raise ValueError("division by zero")
+    return left / right

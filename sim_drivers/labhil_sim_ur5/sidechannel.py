@@ -1,0 +1,70 @@
+"""When the twin is to end, and what it is told meanwhile: signals, and lines on standard input."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import stat
+import sys
+import threading
+from collections.abc import Callable
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+Handler = Callable[[int, FrameType | None], Any] | int | None
+
+
+class SideChannel:
+    """Context in which SIGINT and SIGTERM set ``due`` instead of ending the process.
+
+    Where standard input is a pipe its end sets it too: a parent that dies closes it.
+    """
+
+    def __init__(self) -> None:
+        self.due = False
+        self._handlers: dict[int, Handler] = {}
+        self._pipe = _standard_input_pipe()
+        self._rest = b""
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._handlers[number] = signal.signal(number, self._told)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
+
+    def watched(self) -> list[int]:
+        """File descriptors to wait for."""
+        return [] if self._pipe is None else [self._pipe]
+
+    def hear(self, readable: list[int]) -> list[str]:
+        """Return the lines that came in."""
+        if self._pipe is None or self._pipe not in readable:
+            return []
+        said = b""
+        with contextlib.suppress(OSError):
+            said = os.read(self._pipe, 4096)
+        if not said:
+            self.due = True
+            self._pipe = None
+            return []
+        *lines, self._rest = (self._rest + said).split(b"\n")
+        return [line.decode("utf-8", "replace").strip() for line in lines if line.strip()]
+
+    def _told(self, _number: int, _frame: FrameType | None) -> None:
+        self.due = True
+
+
+def _standard_input_pipe() -> int | None:
+    try:
+        fd = sys.stdin.fileno()
+        mode = os.fstat(fd).st_mode
+    except (AttributeError, OSError, ValueError):
+        return None
+    return fd if stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode) else None
