@@ -28,7 +28,8 @@ class DriverSpec:
 
     ``waypoint_rate`` (Hz) is for a :class:`TimedDriver`: how often it wants to be told where to be.
     ``approach`` names commands that have to stand where a run begins before the run's clock starts, and
-    how near (SI): the driver goes there by itself when it is told.
+    how near (SI): the driver goes there by itself when it is told. ``ready`` names signals and the values
+    they must have by then.
     """
 
     name: str
@@ -41,6 +42,7 @@ class DriverSpec:
     address_help: str
     waypoint_rate: float = 0.0
     approach: Mapping[str, float] = field(default_factory=dict)
+    ready: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

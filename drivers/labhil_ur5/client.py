@@ -57,7 +57,7 @@ class Client:
         self._control = RTDEControlInterface(host, rate)
         self._outputs: Any = None
         self._player: Player | None = None
-        self._heard_at = self._told_at = time.monotonic()
+        self._heard_at = self._told_at = self._ticked_at = time.monotonic()
         self._seen_moving = False
         self._moved_at = 0.0
         self._rest = b""
@@ -118,7 +118,7 @@ class Client:
 
     def _take_waypoint(self, order: Mapping[str, Any]) -> None:
         if self.state == "idle":
-            self._player = Player(self._dt, order["from"], order["t"], order["q"])
+            self._player = Player(order["from"], order["t"], order["q"])
             self._become("servo")
         elif self.state == "servo" and self._player is not None:
             try:
@@ -152,14 +152,15 @@ class Client:
         if self.state in ("servo", "moving") and now - self._heard_at > COMMAND_TIMEOUT:
             self._stop()
         if self._player is not None:
-            self._servo(self._player)
+            self._servo(self._player, now)
         else:
             self._check(self._control.kickWatchdog(), "kickWatchdog")
             if self.state != "idle":
                 self._look_whether_there(now)
 
-    def _servo(self, player: Player) -> None:
-        sent = self._control.servoJ(list(player.tick()), 0.0, 0.0, self._dt, LOOKAHEAD, GAIN)
+    def _servo(self, player: Player, now: float) -> None:
+        elapsed, self._ticked_at = now - self._ticked_at, now
+        sent = self._control.servoJ(list(player.tick(elapsed)), 0.0, 0.0, self._dt, LOOKAHEAD, GAIN)
         self._check(sent, "servoJ")
         if player.at_rest:
             self._player = None

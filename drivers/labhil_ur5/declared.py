@@ -56,6 +56,15 @@ REPORTED: tuple[Reported, ...] = (
     ),
 )
 
+CLIENT = Signal(
+    "client_state",
+    "",
+    Direction.STATUS,
+    hold=Hold.ZERO,
+    description="0 nobody commands the arm, 1 starting, 2 ready, 3 moveJ, 4 along a path, 5 stopping",
+)
+"""What the client process is doing: ours, not the controller's."""
+
 TARGET = _OF_THE_KIND["target_q"]
 SPEED = next(item.signal for item in REPORTED if item.signal.name == "target_speed_fraction")
 OUTPUTS = next(item.signal for item in REPORTED if item.signal.name == "standard_digital_outputs")

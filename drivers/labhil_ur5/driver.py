@@ -17,7 +17,7 @@ from labhil.errors import CommandRefusedError, ConnectError, DeviceError, Device
 from labhil.signals import Batch, Stream
 from labhil_ur5.client import COMMAND_TIMEOUT, DIGITAL_OUTPUTS
 from labhil_ur5.dashboard import Dashboard
-from labhil_ur5.declared import OUTPUTS, REPORTED, SPEED, TARGET, TARGET_COLUMNS, TIMESTAMP
+from labhil_ur5.declared import CLIENT, OUTPUTS, REPORTED, SPEED, TARGET, TARGET_COLUMNS, TIMESTAMP
 from labhil_ur5.motion import Motion, MotionState
 from labhil_ur5.rtde import Receiver, Recipe
 from labhil_ur5.trouble import SAFETY_NORMAL, said_of
@@ -35,6 +35,8 @@ FIRST_SAMPLE = 2.0
 RESTART_AFTER = 1.0
 """How long after the loss of the client process another one is started, s."""
 
+STATES = tuple(MotionState)
+
 Row = tuple[int, int, int, Sequence[float]]
 
 
@@ -43,13 +45,14 @@ def _spec(name: str, rate: float, series: str) -> DriverSpec:
         name=name,
         rig="ur5",
         description=f"UR5 on RTDE, {series}: joint angles in, joint states and currents out, {rate:g} Hz",
-        stream=Stream("state", tuple(item.signal for item in REPORTED), rate),
+        stream=Stream("state", (*(item.signal for item in REPORTED), CLIENT), rate),
         commands=(TARGET, SPEED, OUTPUTS),
         safe={},
         command_timeout=COMMAND_TIMEOUT,
         address_help="the controller's IP address or host name",
         waypoint_rate=WAYPOINT_RATE,
         approach={TARGET.name: THERE},
+        ready={CLIENT.name: float(STATES.index(MotionState.IDLE))},
     )
 
 
@@ -82,7 +85,7 @@ class Ur5Driver:
             self._latest: dict[str, float] = {}
             self._target: list[float] = []
             self._switched: dict[str, float] = {}
-            self._seq, self._clock_ns = 0, -1
+            self._seq, self._clock_ns, self._acquired_ns = 0, -1, 0
             self._lost_because = ""
             self.counters = Counters()
             self._closing = False
@@ -159,16 +162,25 @@ class Ur5Driver:
 
     def _rows(self, payloads: Iterable[bytes]) -> list[Row]:
         rows: list[Row] = []
-        t_acq_ns = time.time_ns()
         for payload in payloads:
             values = self._recipe.unpack(payload)
             t_hw_ns = round(values[self._recipe.slices[TIMESTAMP].start] * 1e9)
             if self._is_new(t_hw_ns):
                 row = self._take_values(values)
-                rows.append((self._seq, t_acq_ns, t_hw_ns, row))
+                row.append(STATES.index(self._motion.state))
+                rows.append((self._seq, 0, t_hw_ns, row))
         if rows:
             self._latest = dict(zip(self.spec.stream.columns(), rows[-1][3], strict=True))
-        return rows
+        return self._stamped(rows)
+
+    def _stamped(self, rows: list[Row]) -> list[Row]:
+        """Give samples that were waiting together the times at which they must have come in."""
+        now = time.time_ns()
+        stamped = []
+        for seq, _, t_hw_ns, values in rows:
+            self._acquired_ns = max(self._acquired_ns, now - (rows[-1][2] - t_hw_ns))
+            stamped.append((seq, self._acquired_ns, t_hw_ns, values))
+        return stamped
 
     def _is_new(self, t_hw_ns: int) -> bool:
         """Number a sample by the controller's clock; False for one that has been seen already."""
@@ -236,6 +248,8 @@ class Ur5Driver:
             if not self.trouble():
                 motion.start()
         elif motion.state is MotionState.IDLE and not near:
+            if t_hw_ns is not None:
+                raise CommandRefusedError(f"{self.address}: the arm does not stand where its path begins")
             motion.move(q)
         elif t_hw_ns is not None and motion.state in (MotionState.IDLE, MotionState.SERVO):
             motion.waypoint(t_hw_ns * 1e-9, q, here)

@@ -20,10 +20,12 @@ SLOWING = 0.15
 """With less than this left to play the path slows down, s: from 1 rad/s with at most 7 rad/s²."""
 STOPPING_TIME = 0.3
 """How long a stop takes, s: from 1 rad/s with 3.3 rad/s²."""
-CATCHING_UP = 0.05
+CATCHING_UP = 0.1
 """By how much the path may be played too fast, to come back to ``DELAY``."""
 BLENDING_TIME = 0.5
 """In what time a small distance between the arm and the first waypoint is closed, s."""
+LONGEST_TICK = 0.008
+"""What a tick may count for, s: after a stall the path goes on where it was."""
 FASTEST = 3.2
 """What no joint may be asked for, rad/s: 180°/s is what a UR5 can do."""
 
@@ -33,10 +35,9 @@ class TooFastError(Exception):
 
 
 class Player:
-    """Plays one path, from rest at its first waypoint to rest; ``dt`` is s between two calls of tick."""
+    """Plays one path from its first waypoint; the arm stands at ``begin`` (rad), which is near it."""
 
-    def __init__(self, dt: float, begin: Sequence[float], t: float, q: Sequence[float]) -> None:
-        self._dt = dt
+    def __init__(self, begin: Sequence[float], t: float, q: Sequence[float]) -> None:
         self._points: deque[tuple[float, Joints]] = deque([(t, tuple(q))])
         self._offset = tuple(a - b for a, b in zip(begin, q, strict=True))
         self._blended = 0.0
@@ -73,30 +74,31 @@ class Player:
         """Whether a stop has ended."""
         return self._stopping and self._rate <= 0.0
 
-    def tick(self) -> Joints:
-        """Return where the joints are to be now."""
+    def tick(self, elapsed: float) -> Joints:
+        """Return where the joints are to be, ``elapsed`` s after the tick before."""
+        dt = min(elapsed, LONGEST_TICK)
         # the slope at the newest waypoint is not known before the next: the path ends one earlier
         end = self._points[-2 if len(self._points) > 1 else -1][0]
         left = end - self._t
         self._playing = self._playing or left >= DELAY
         if self._playing:
-            self._rate = self._next_rate(left)
-            self._t = min(self._t + self._rate * self._dt, end)
-        self._blended = min(self._blended + self._dt / BLENDING_TIME, 1.0)
+            self._rate = self._next_rate(left, dt)
+            self._t = min(self._t + self._rate * dt, end)
+        self._blended = min(self._blended + dt / BLENDING_TIME, 1.0)
         share = 1.0 - _smooth(self._blended)
         self._target = tuple(a + share * b for a, b in zip(self._path(), self._offset, strict=True))
         return self._target
 
-    def _next_rate(self, left: float) -> float:
+    def _next_rate(self, left: float, dt: float) -> float:
         # the mean over a second, for waypoints come one by one
-        self._ahead += self._dt * (left - self._ahead)
+        self._ahead += dt * (left - self._ahead)
         wanted = 1.0 + max(-CATCHING_UP, min(CATCHING_UP, self._ahead - DELAY))
         if left < SLOWING:
             wanted = min(wanted, left / SLOWING)
-        step = self._dt / STOPPING_TIME
+        step = dt / STOPPING_TIME
         if self._stopping:
             wanted = min(wanted, self._rate - step)
-        wanted = max(wanted, self._rate - 2.0 * self._dt / SLOWING)
+        wanted = max(wanted, self._rate - 2.0 * dt / SLOWING)
         return max(0.0, min(wanted, self._rate + step))
 
     def _path(self) -> Joints:

@@ -15,7 +15,7 @@ STEADY = 0.1
 
 
 class Approach:
-    """Whether what ``spec.approach`` names is where it is asked to be, and has been for a while."""
+    """Whether what ``spec.approach`` names is where it is asked to be, and all is ready, for a while."""
 
     def __init__(self, spec: DriverSpec, stream: Stream) -> None:
         columns = stream.columns()
@@ -25,6 +25,7 @@ class Approach:
             if signal.name in spec.approach
             for column in signal.columns()
         }
+        self._ready = [(name, columns.index(name), value) for name, value in spec.ready.items()]
         self._wanted = max(1, round(STEADY * stream.rate))
         self._longest = round(LONGEST * stream.rate)
         self._steady = self._waited = 0
@@ -37,24 +38,25 @@ class Approach:
         """Take the sample ``values`` in, and tell whether the clock may start; RunError when it never may."""
         if not self._near:
             return True
-        there = all(
-            abs(values[place] - requested[column]) <= near
-            for column, (place, near) in self._near.items()
-            if column in requested
-        )
-        self._steady = self._steady + 1 if there else 0
+        missing = self._missing(requested, values)
+        self._steady = 0 if missing else self._steady + 1
         self._waited += 1
-        if self._waited > self._longest:
-            away = max(
-                (abs(values[place] - requested[column]), column)
-                for column, (place, _) in self._near.items()
-                if column in requested
-            )
+        if missing and self._waited > self._longest:
             raise RunError(
-                f"the device did not come to where the steps begin within {LONGEST:g} s: {away[1]} is"
-                f" {away[0]:.3g} away"
+                f"the device did not come to where the steps begin within {LONGEST:g} s: {missing}"
             )
         return self._steady >= self._wanted
+
+    def _missing(self, requested: Mapping[str, float], values: Sequence[float]) -> str:
+        """What is not as it has to be, in words."""
+        for name, place, value in self._ready:
+            if values[place] != value:
+                return f"{name} is {values[place]:g}, expected {value:g}"
+        for column, (place, near) in self._near.items():
+            away = abs(values[place] - requested[column]) if column in requested else 0.0
+            if not away <= near:
+                return f"{column} is {away:.3g} away"
+        return ""
 
 
 class Waypoints:
