@@ -170,7 +170,8 @@ class TwinOptions:
     ``terms`` names the effects that it carries beyond the bare rig (None: the twin's own default);
     ``parameters`` overrides single values; ``speed`` runs its world that many times faster than
     real time; ``wire`` is ``"pty"`` or ``"tcp"``; ``host`` is the address of this machine that a networked
-    twin binds to, ``series`` which make of its controller it is (None: the twin's own default). What the twin is made of is written to ``answer``
+    twin binds to, ``series`` which make of its controller it is (None: the twin's own default). What the
+    twin is made of is written to ``answer``
     (JSON: ``terms``, ``parameters``, ``seed``) and told nowhere else.
     """
 

@@ -2,52 +2,60 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from collections.abc import Mapping
 
 import numpy as np
 
+from labhil.plants.arm.links import UR5
+from labhil.plants.arm.live import LiveArm, Moment, Sample
+from labhil.plants.arm.newton_euler import RecursiveBody
 from labhil.signals import FloatArray
 from labhil_sim_ur5.motion import Plan
+from labhil_sim_ur5.poses import Point
+
+GRAVITY: Point = (0.0, 0.0, -9.81)
 
 
-class Reading(NamedTuple):
-    """What the controller measures and expects at one moment, (6,) each but for the voltage.
+class PhysicalArm:
+    """The simulated UR5: rigid links, friction, warmth, sensors; ``terms`` and ``parameters`` make it up."""
 
-    rad, rad/s, A, A, N·m, °C, V.
-    """
+    def __init__(self, parameters: Mapping[str, float], terms: tuple[str, ...], seed: int) -> None:
+        self.links = UR5
+        self._live = LiveArm(parameters, terms, seed, UR5)
 
-    q: FloatArray
-    qd: FloatArray
-    current: FloatArray
-    target_current: FloatArray
-    target_moment: FloatArray
-    temperature: FloatArray
-    voltage: float
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Every number of the plant by its key."""
+        return self._live.parameters
 
+    @property
+    def torque_constant(self) -> FloatArray:
+        """N·m/A at the joints (6,)."""
+        return self._live.torque_constant
 
-class Arm(Protocol):
-    """What the controller drives."""
+    @property
+    def model(self) -> RecursiveBody:
+        """What the controller believes the arm and its payload to be."""
+        return self._live.expected()
+
+    def expect(self, mass: float, centre: Point, gravity: Point) -> None:
+        """Tell the controller's model what the flange carries (kg, m) and which way weight pulls (m/s²)."""
+        self._live.expect(mass, centre, gravity)
 
     def place(self, q: FloatArray) -> None:
         """Put the arm at rest at angles (6,) rad."""
-        ...
+        self._live.place(q)
 
-    def step(self, plan: Plan, h: float) -> Reading:
+    def step(self, plan: Plan, h: float) -> Sample:
         """Let h (s) pass while the drives are told to follow the plan, and measure then."""
-        ...
+        return self._live.step(Moment(plan.q, plan.qd, plan.qdd), h)
 
+    def mass_matrix(self, q: FloatArray) -> FloatArray:
+        """M(q) (6, 6) kg·m² after the controller's model."""
+        return self.model.mass_matrix(q)
 
-class IdealArm:
-    """Joints that are where they are told to be, without weight: only for tests of the protocol."""
-
-    def __init__(self) -> None:
-        self._warm = np.full(6, 27.0)
-        self._nothing = np.zeros(6)
-
-    def place(self, q: FloatArray) -> None:
-        """Nothing to do: the plan says where it is."""
-
-    def step(self, plan: Plan, h: float) -> Reading:
-        """Be there."""
-        nothing = self._nothing
-        return Reading(plan.q, plan.qd, nothing, nothing, nothing, self._warm, 48.0)
+    def coriolis(self, q: FloatArray, qd: FloatArray) -> FloatArray:
+        """C(q, q̇)·q̇ (6,) N·m after the controller's model."""
+        rows = np.array([q, q]), np.array([qd, np.zeros(6)]), np.zeros((2, 6))
+        moving, weight = self.model.torques(*rows)
+        return np.asarray(moving - weight)

@@ -10,13 +10,13 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from labhil_sim_ur5.arm import Arm
+from labhil_sim_ur5.arm import GRAVITY, PhysicalArm
 from labhil_sim_ur5.codec import Value
 from labhil_sim_ur5.kinematics import JOINT_LIMIT, Geometry
 from labhil_sim_ur5.modes import RobotMode, Runtime, SafetyMode
 from labhil_sim_ur5.motion import SPEED_LIMIT, Halt, Motion, MotionError, Plan
 from labhil_sim_ur5.pace import Pace
-from labhil_sim_ur5.poses import NO_OFFSET, Pose
+from labhil_sim_ur5.poses import NO_OFFSET, Point, Pose
 from labhil_sim_ur5.program import Program
 from labhil_sim_ur5.publish import publish
 from labhil_sim_ur5.script import Script
@@ -36,14 +36,14 @@ Log = Callable[[str], None]
 class Controller:
     """One arm with its controller; ``tick`` lets one period pass."""
 
-    def __init__(self, version: Version, arm: Arm, geometry: Geometry, home: Plan, log: Log) -> None:
+    def __init__(self, version: Version, arm: PhysicalArm, geometry: Geometry, home: Plan, log: Log) -> None:
         self.version = version
         self.period = 1.0 / version.rate
         self.geometry = geometry
         self.log = log
         self.values: dict[str, Value] = zeros(output_types(version).items())
         self.tool: Pose = NO_OFFSET
-        self.payload: tuple[float, ...] = (0.0,) * 10
+        self.payload: tuple[float, Point] = (0.0, (0.0, 0.0, 0.0))
         self.plan = home
         self.motion: Motion | None = None
         self.runtime = Runtime.STOPPED
@@ -58,7 +58,11 @@ class Controller:
         self.history: deque[tuple[float, ...]] = deque(maxlen=HISTORY)
         self.ticks = 0
         self.updated: dict[str, int] = {}
-        self._arm = arm
+        self.contact = 0
+        """What ``tool_contact`` says: how many ticks ago something was touched, 0 for nothing."""
+        self.gravity: Point = GRAVITY
+        self.force_zero = np.zeros(6)
+        self.arm = arm
         self._pending: tuple[int, Script] | None = None
         self._stopped_at = 0
         arm.place(home.q)
@@ -181,6 +185,12 @@ class Controller:
             self.pace.hold(self.program is not None)
         self.robot_mode = mode
 
+    def carry(self, mass: float, centre: Point, inertia: tuple[float, ...] = (0.0,) * 6) -> None:
+        """Believe that the flange carries this (kg, m, kg·m²)."""
+        self.payload = (mass, centre)
+        self.values |= {"payload": mass, "payload_cog": centre, "payload_inertia": inertia}
+        self.arm.expect(mass, centre, self.gravity)
+
     # Motion -------------------------------------------------------------------------------------
 
     def begin(self, motion: Motion) -> Motion:
@@ -200,7 +210,9 @@ class Controller:
         if self.program is not None and self.runtime is Runtime.PLAYING:
             self.program.tick()
         self.plan = self._next_plan()
-        self.reading = self._arm.step(self.plan, self.period)
+        reading = self.arm.step(self.plan, self.period)
+        off = self.robot_mode is not RobotMode.RUNNING
+        self.reading = reading._replace(current=np.zeros(6)) if off else reading
         self.history.append(tuple(self.reading.q.tolist()))
         publish(self)
 

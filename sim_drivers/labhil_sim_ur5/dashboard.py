@@ -21,7 +21,7 @@ _SAFETY_NAMES = {
 
 
 class Dashboard:
-    """Answers for all clients; ``serial`` is the robot's number, ``unlock_after`` s a protective stop holds."""
+    """Answers for all clients: the robot's ``serial`` number, ``unlock_after`` s that a stop must hold."""
 
     def __init__(self, controller: Controller, serial: int, unlock_after: float) -> None:
         self._controller = controller

@@ -30,6 +30,8 @@ from labhil_sim_ur5.poses import (
 )
 
 Joints = tuple[float, float, float, float, float, float]
+Joints6 = Sequence[float] | FloatArray
+"""Six angles or rates, however they are kept."""
 
 JOINT_LIMIT = 2.0 * pi
 """How far (rad) a joint turns either way."""
@@ -58,7 +60,7 @@ class Geometry:
         one, two, three, four, five, six = links.links
         return cls(one.d, two.a, three.a, four.d, five.d, six.d)
 
-    def flange(self, q: Sequence[float]) -> tuple[Point, Rotation]:
+    def flange(self, q: Joints6) -> tuple[Point, Rotation]:
         """Return place (m) and rotation of the flange in the base's frame at joint angles (6,) rad."""
         c1, s1, c5, s5, c6, s6 = cos(q[0]), sin(q[0]), cos(q[4]), sin(q[4]), cos(q[5]), sin(q[5])
         q23 = q[1] + q[2]
@@ -77,13 +79,21 @@ class Geometry:
             c * s6 + c5 * c6 * s, c * c6 - c5 * s6 * s, zz,
         )  # fmt: skip
 
-    def pose(self, q: Sequence[float], tool: Pose = NO_OFFSET) -> Pose:
+    def pose(self, q: Joints6, tool: Pose = NO_OFFSET) -> Pose:
         """Return the tool's pose at joint angles (6,) rad; ``tool`` is its pose on the flange."""
         place, rotation = self.flange(q)
         flange: Pose = (*place, *vector_of(rotation))
         return flange if tool == NO_OFFSET else pose_times(flange, tool)
 
-    def jacobian(self, q: Sequence[float], tool: Pose = NO_OFFSET) -> FloatArray:
+    def elbow(self, q: Joints6, qd: Joints6) -> tuple[Point, Point]:
+        """Return place (m) and velocity (m/s) of the elbow in the base's frame."""
+        c1, s1, c2, s2 = cos(q[0]), sin(q[0]), cos(q[1]), sin(q[1])
+        out, up = self.a2 * c2, self.a2 * s2
+        place = (c1 * out, s1 * out, self.d1 + up)
+        velocity = (-s1 * out * qd[0] - c1 * up * qd[1], c1 * out * qd[0] - s1 * up * qd[1], out * qd[1])
+        return place, (float(velocity[0]), float(velocity[1]), float(velocity[2]))
+
+    def jacobian(self, q: Joints6, tool: Pose = NO_OFFSET) -> FloatArray:
         """Return the Jacobian (6, 6): velocity (m/s) and rate (rad/s) of the tool per joint rate."""
         place, rotation = self.flange(q)
         if tool != NO_OFFSET:
@@ -102,7 +112,7 @@ class Geometry:
             )
         return np.array(columns).T
 
-    def _axes(self, q: Sequence[float], rotation: Rotation) -> Iterator[tuple[Point, Point]]:
+    def _axes(self, q: Joints6, rotation: Rotation) -> Iterator[tuple[Point, Point]]:
         """Direction and one point of each joint's axis."""
         c1, s1, q23 = cos(q[0]), sin(q[0]), q[1] + q[2]
         c, s = cos(q23 + q[3]), sin(q23 + q[3])
@@ -120,7 +130,7 @@ class Geometry:
         last = (rotation[2], rotation[5], rotation[8])
         yield last, (at[0] + self.d5 * c1 * s, at[1] + self.d5 * s1 * s, at[2] - self.d5 * c)
 
-    def inverse(self, pose: Pose, near: Sequence[float], tool: Pose = NO_OFFSET) -> Joints | None:
+    def inverse(self, pose: Pose, near: Joints6, tool: Pose = NO_OFFSET) -> Joints | None:
         """Return the joint angles that bring the tool to a pose, those nearest to ``near`` (6,) rad.
 
         None where the arm does not reach.
@@ -129,8 +139,8 @@ class Geometry:
         solutions = self.solutions(flange, near)
         return min(solutions, key=lambda q: _distance(q, near), default=None)
 
-    def solutions(self, flange: Pose, near: Sequence[float]) -> list[Joints]:
-        """Return all joint angles that bring the flange to a pose, up to eight, each turned towards ``near``."""
+    def solutions(self, flange: Pose, near: Joints6) -> list[Joints]:
+        """Return all joint angles (up to eight) that bring the flange to a pose, turned towards ``near``."""
         r = rotation_of(*flange[3:])
         found = []
         for first in self._first_joints(flange, r):
@@ -180,10 +190,10 @@ def _last_joint(r: Rotation, c1: float, s1: float, s5: float, near: float) -> fl
     return atan2((r[4] * c1 - r[1] * s1) / s5, (r[0] * s1 - r[3] * c1) / s5)
 
 
-def _turned(q: Joints, near: Sequence[float]) -> Joints:
+def _turned(q: Joints, near: Joints6) -> Joints:
     a, b, c, d, e, f = (nearest_turn(x, y, JOINT_LIMIT) for x, y in zip(q, near, strict=True))
     return (a, b, c, d, e, f)
 
 
-def _distance(q: Sequence[float], near: Sequence[float]) -> float:
+def _distance(q: Joints6, near: Joints6) -> float:
     return sqrt(sum((x - y) ** 2 for x, y in zip(q, near, strict=True)))

@@ -81,7 +81,7 @@ class Trapezoid:
 
 
 class JointMove:
-    """``movej``: all joints begin and end together; the one with the longest way keeps speed and acceleration."""
+    """``movej``: all joints begin and end together; speed and acceleration are those of the longest way."""
 
     def __init__(self, begin: FloatArray, end: FloatArray, speed: float, acceleration: float) -> None:
         self._begin, self._end = begin.copy(), np.array(end, dtype=np.float64)
@@ -145,82 +145,6 @@ class LineMove:
         return Plan(now, qd, qdd)
 
 
-class Servo:
-    """``servoj``: the plan follows a set point that may change at any tick.
-
-    q̈ = gain·(q_set − q − lookahead·q̇), within the joints' limits: natural frequency √gain rad/s, damping
-    ½·lookahead·√gain, lag ``lookahead`` behind a ramp. The manufacturer does not publish its own law; this
-    one has its two numbers and what is said of them: more gain is stiffer, more lookahead smoother.
-    """
-
-    def __init__(self, now: Plan) -> None:
-        self._q, self._qd = now.q.copy(), now.qd.copy()
-        self._set = now.q.copy()
-        self._gain, self._lookahead = 300.0, 0.1
-        self.done = False
-
-    def aim(self, q: Sequence[float], lookahead: float, gain: float) -> None:
-        """Set the angles (6,) to go to."""
-        self._set = np.array(q, dtype=np.float64)
-        self._lookahead, self._gain = min(max(lookahead, 0.03), 0.2), min(max(gain, 100.0), 2000.0)
-
-    def advance(self, h: float) -> Plan:
-        """Let h (s) pass, by an implicit step that is stable for all gains."""
-        k, before = self._gain, self._qd
-        wanted = (before + h * k * (self._set - self._q)) / (1.0 + h * k * self._lookahead + h * h * k)
-        wanted = np.clip(wanted, -JOINT_SPEED, JOINT_SPEED)
-        step = np.clip(wanted - before, -ACCELERATION_LIMIT * h, ACCELERATION_LIMIT * h)
-        self._qd = before + step
-        self._q = self._q + h * self._qd
-        return Plan(self._q.copy(), self._qd.copy(), step / h)
-
-
-class JointSpeed:
-    """``speedj``: joint velocities, reached together with a steady acceleration of the fastest to change."""
-
-    def __init__(self, now: Plan) -> None:
-        self._q, self._qd = now.q.copy(), now.qd.copy()
-        self._set, self._a = self._qd.copy(), 0.5
-        self.done = False
-
-    def aim(self, qd: Sequence[float], acceleration: float) -> None:
-        """Set the velocities (6,) rad/s to go to, and how fast (rad/s²)."""
-        self._set = np.clip(np.array(qd, dtype=np.float64), -JOINT_SPEED, JOINT_SPEED)
-        self._a = min(max(acceleration, SLOWEST), ACCELERATION_LIMIT)
-
-    def advance(self, h: float) -> Plan:
-        """Let h (s) pass and return the plan then."""
-        before = self._qd
-        self._qd = _towards(before, self._set, self._a * h)
-        self._q = self._q + 0.5 * h * (before + self._qd)
-        return Plan(self._q.copy(), self._qd.copy(), (self._qd - before) / h)
-
-
-class ToolSpeed:
-    """``speedl``: velocity and rate of the tool (6,) m/s and rad/s in the base's frame."""
-
-    def __init__(self, now: Plan, arm: Geometry, tool: Pose) -> None:
-        self._arm, self._tool = arm, tool
-        self._q, self._qd = now.q.copy(), now.qd.copy()
-        self._twist = arm.jacobian(self._q, tool) @ self._qd
-        self._set, self._a = self._twist.copy(), 0.25
-        self.done = False
-
-    def aim(self, twist: Sequence[float], acceleration: float) -> None:
-        """Set the velocity to go to, and how fast: m/s² (rad/s² of the turn)."""
-        self._set = np.array(twist, dtype=np.float64)
-        self._a = max(acceleration, SLOWEST)
-
-    def advance(self, h: float) -> Plan:
-        """Let h (s) pass and return the plan then; MotionError near a singularity."""
-        self._twist = _towards(self._twist, self._set, self._a * h)
-        before = self._qd
-        middle = self._q + 0.5 * h * before
-        self._qd = joint_rates(self._arm, middle, self._tool, self._twist)
-        self._q = self._q + h * self._qd
-        return Plan(self._q.copy(), self._qd.copy(), (self._qd - before) / h)
-
-
 class Halt:
     """``stopj`` and ``stopl``: along the way the joints go, down to rest with a steady deceleration."""
 
@@ -267,10 +191,10 @@ def joint_rates(arm: Geometry, q: FloatArray, tool: Pose, twist: FloatArray) -> 
         raise MotionError("the tool cannot move that way in this position: it is singular") from error
     if not np.abs(rates).max() <= SPEED_LIMIT:
         raise MotionError("a joint would have to turn too fast: near a singularity, or the tool too fast")
-    return rates
+    return np.asarray(rates, dtype=np.float64)
 
 
-def _towards(now: FloatArray, wanted: FloatArray, step: float) -> FloatArray:
+def towards(now: FloatArray, wanted: FloatArray, step: float) -> FloatArray:
     """Go from now to wanted along a straight line, the component with the longest way by at most ``step``."""
     missing = wanted - now
     longest = float(np.abs(missing).max())

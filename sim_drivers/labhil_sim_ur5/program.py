@@ -12,19 +12,16 @@ from typing import TYPE_CHECKING
 from labhil_sim_ur5.commands import COMMANDS, REALTIME
 from labhil_sim_ur5.custom import CustomProgram
 from labhil_sim_ur5.motion import Motion
+from labhil_sim_ur5.moves import CONTACT_STOP, halt_tool
 from labhil_sim_ur5.progress import Progress
 from labhil_sim_ur5.registers import Registers
-from labhil_sim_ur5.script import Script
+from labhil_sim_ur5.script import Script, ScriptError
 
 if TYPE_CHECKING:
     from labhil_sim_ur5.controller import Controller
 
 READY, DONE = 1, 2
 END = 255
-
-
-class ScriptError(Exception):
-    """What ends a program on a controller: a pose out of reach, two motions at once."""
 
 
 class Program:
@@ -39,7 +36,9 @@ class Program:
         self.continuous: Motion | None = None
         """What a command for every tick keeps going: servo, speed or jog."""
         self.watchdog: float | None = None
-        self.contact_since: int | None = None
+        self.watching_contact = False
+        self.contact_steps = 0
+        self.said: set[int] = set()
         self._waiting: Motion | None = None
         self._executing = False
         self._since = controller.ticks
@@ -63,6 +62,7 @@ class Program:
             self.controller.end_program("the watchdog heard nothing from the client")
             return
         self._watch_asynchronous()
+        self._watch_contact()
         if self._waiting is not None:
             if self.controller.moving(self._waiting):
                 return
@@ -120,6 +120,13 @@ class Program:
         if self.asynchronous is not None and not self.controller.moving(self.asynchronous):
             self.asynchronous = None
             self.progress.finished()
+
+    def _watch_contact(self) -> None:
+        """Stop when something was touched while the client has asked for that."""
+        if self.watching_contact and self.controller.contact > 0:
+            self.watching_contact = False
+            self.contact_steps = self.controller.contact
+            halt_tool(self, CONTACT_STOP)
 
     def _starved(self) -> bool:
         if self.watchdog is None:

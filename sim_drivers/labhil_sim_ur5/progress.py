@@ -9,7 +9,7 @@ RUNNING = 1 << 15
 
 
 class Progress:
-    """``output_int_register_2``: operation id (bits 24–30), count of writes (16–22), running (15), progress."""
+    """``output_int_register_2``: operation (bits 24–30), count of writes (16–22), running (15), progress."""
 
     def __init__(self, registers: Registers) -> None:
         self._registers = registers
@@ -26,6 +26,10 @@ class Progress:
         if value == 0:
             self._operation = (self._operation + 1) % 128
         self._write(RUNNING | min(value, RUNNING - 1))
+
+    def passed(self, value: int) -> None:
+        """The same within an operation that the client waits for."""
+        self.at(value)
 
     def finished(self) -> None:
         """No operation is under way."""

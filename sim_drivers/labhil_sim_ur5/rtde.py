@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from labhil_sim_ur5.codec import (
     Command,
     Framer,
-    FramingError,
     Recipe,
     Value,
     data_package,
@@ -19,7 +18,7 @@ from labhil_sim_ur5.codec import (
 )
 from labhil_sim_ur5.variables import Version, input_types, output_types
 
-PROTOCOL = 2
+PROTOCOL = b"\x00\x02"
 MOST_RECIPES = 255
 
 
@@ -42,6 +41,14 @@ class Conversation:
         self._inputs: list[Recipe | None] = []
         self._output: Recipe | None = None
         self._every = 1
+        self._requests: Mapping[int, Callable[[bytes], bytes]] = {
+            Command.PROTOCOL_VERSION: self._protocol,
+            Command.CONTROLLER_VERSION: self._version,
+            Command.OUTPUTS: self._setup_outputs,
+            Command.INPUTS: self._setup_inputs,
+            Command.START: self._start,
+            Command.PAUSE: self._pause,
+        }
         self.started = False
         self.ignored = 0
         """Data packages that did not fit their recipe."""
@@ -68,31 +75,31 @@ class Conversation:
             del taken[name]
 
     def _answer(self, command: int, payload: bytes) -> bytes:
-        match command:
-            case Command.PROTOCOL_VERSION:
-                wanted = struct.unpack(">H", payload)[0] if len(payload) == 2 else 0
-                return package(command, bytes([wanted == PROTOCOL]))
-            case Command.CONTROLLER_VERSION:
-                version = self._variables.version
-                return package(
-                    command, struct.pack(">4I", version.major, version.minor, version.bugfix, version.build)
-                )
-            case Command.OUTPUTS:
-                return package(command, self._setup_outputs(payload))
-            case Command.INPUTS:
-                return package(command, self._setup_inputs(payload))
-            case Command.START:
-                self.started = self._output is not None or bool(self._inputs)
-                return package(command, bytes([self.started]))
-            case Command.PAUSE:
-                self.started = False
-                return package(command, b"\x01")
-            case Command.DATA:
-                self._take(payload)
-                return b""
-            case Command.TEXT:
-                return b""
-        return text_package(f"unknown command {command}")
+        """Return the answer to one package; data and text have none."""
+        if command == Command.DATA:
+            self._take(payload)
+            return b""
+        if command == Command.TEXT:
+            return b""
+        known = self._requests.get(command)
+        if known is None:
+            return text_package(f"unknown command {command}")
+        return package(command, known(payload))
+
+    def _protocol(self, payload: bytes) -> bytes:
+        return bytes([payload == PROTOCOL])
+
+    def _version(self, _payload: bytes) -> bytes:
+        version = self._variables.version
+        return struct.pack(">4I", version.major, version.minor, version.bugfix, version.build)
+
+    def _start(self, _payload: bytes) -> bytes:
+        self.started = self._output is not None or bool(self._inputs)
+        return bytes([self.started])
+
+    def _pause(self, _payload: bytes) -> bytes:
+        self.started = False
+        return b"\x01"
 
     def _setup_outputs(self, payload: bytes) -> bytes:
         if len(payload) < 8:
@@ -131,6 +138,3 @@ class Conversation:
             return
         # the client sends more than the recipe holds in one of its calls: what is over is no field
         self.received.append(recipe.unpack(payload[1:]))
-
-
-__all__ = ["Conversation", "FramingError", "Variables"]

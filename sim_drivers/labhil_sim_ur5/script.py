@@ -1,4 +1,4 @@
-"""What the twin understands of an uploaded script: which program it is, its registers, its paths, simple lines."""
+"""What the twin understands of an uploaded script: which program it is, registers, paths, simple lines."""
 
 from __future__ import annotations
 
@@ -12,6 +12,10 @@ _PATH = "# inject move path"
 _OFFSET = re.compile(r"global reg_offset_int\s*=\s*# int register offset\s*\n\s*(\d+)")
 _NAME = re.compile(r"^\s*(?:def|sec)\s+(\w+)\s*\(", re.MULTILINE)
 _CALL = re.compile(r"^\s*(\w+)\((.*)\)\s*$")
+
+
+class ScriptError(Exception):
+    """What ends a program on a controller: a pose out of reach, two motions at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +45,7 @@ class Statement:
 
 @dataclass(frozen=True, slots=True)
 class Script:
-    """An uploaded program: ``path`` holds the moves injected into the client's own, ``body`` another's lines."""
+    """An uploaded program; ``path`` are moves injected into the client's own, ``body`` another's lines."""
 
     name: str
     control: bool
@@ -79,7 +83,7 @@ def _statements(lines: list[str]) -> list[Statement]:
 def _statement(code: str) -> Statement:
     call = _CALL.match(code)
     if call is None:
-        return Statement(code.split()[0], (), {}, (), code)
+        return Statement(code.split(maxsplit=1)[0], (), {}, (), code)
     inside = re.sub(r"\bp\[", "POSE+[", call.group(2))
     try:
         tree = ast.parse(f"f({inside})", mode="eval").body
@@ -107,7 +111,7 @@ def _literal(node: ast.expr) -> object:
 
 def _arithmetic(operator: ast.operator, left: object, right: object) -> float:
     if not isinstance(left, int | float) or not isinstance(right, int | float):
-        raise ValueError("not numbers")
+        raise ValueError("not numbers")  # noqa: TRY004 - as ast.literal_eval does
     if isinstance(operator, ast.Add):
         return left + right
     if isinstance(operator, ast.Sub):

@@ -123,6 +123,7 @@ class Server:
             if now < due:
                 continue
             if now - due > PATIENCE:
+                # the host had no time: the controller's own clock stands still meanwhile
                 missed = int((now - due) / self.controller.period)
                 self.missed += missed
                 due += missed * self.controller.period

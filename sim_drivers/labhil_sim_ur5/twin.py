@@ -6,9 +6,6 @@ import sys
 from collections.abc import Mapping
 
 from labhil.driver import ReadyCallback, TwinOptions
-from labhil.errors import UnknownNameError, UsageError
-
-DEFAULT_HOST = "127.0.0.1"
 
 
 class Ur5Twin:
@@ -24,42 +21,51 @@ class Ur5Twin:
 
     def terms(self) -> Mapping[str, str]:
         """Names of the effects that the plant can carry, each with one line about it."""
-        return {}
+        from labhil.plants.arm.effects import EFFECTS
+
+        return {name: effect.about for name, effect in EFFECTS.items()}
 
     def parameters(self) -> Mapping[str, float]:
-        """Names that ``--set`` takes, with their default values (SI)."""
-        return {}
+        """Names that ``--set`` takes, with their default values (SI); ``name[2]`` is joint 2's."""
+        from labhil_sim_ur5.settings import twin_parameters
+
+        return twin_parameters()
 
     def serve(self, options: TwinOptions, ready: ReadyCallback) -> None:
         """Run until SIGINT, SIGTERM or, where standard input is a pipe, its end.
 
         Raises UsageError or UnknownNameError for options that make no twin, before anything is opened.
         """
-        from labhil.plants.arm.links import UR5
-        from labhil_sim_ur5.arm import IdealArm
+        # compiling the plant takes a moment, and a list of twins must not
+        from labhil_sim_ur5.arm import PhysicalArm
         from labhil_sim_ur5.controller import Controller
         from labhil_sim_ur5.dashboard import Dashboard
+        from labhil_sim_ur5.faults import Faults
         from labhil_sim_ur5.kinematics import Geometry
         from labhil_sim_ur5.motion import Plan
         from labhil_sim_ur5.server import Server
+        from labhil_sim_ur5.settings import TwinSettings
         from labhil_sim_ur5.sidechannel import SideChannel
-        from labhil_sim_ur5.variables import SERIES
 
-        series = options.series or "e"
-        if series not in SERIES:
-            raise UnknownNameError("series", series, SERIES)
-        if options.speed != 1.0:
-            raise UsageError(f"the twin of a ur5 runs in real time only, found speed {options.speed:g}")
-        home = Plan.resting((0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0))
-        controller = Controller(SERIES[series], IdealArm(), Geometry.of(UR5), home, tell)
-        host = options.host or DEFAULT_HOST
+        settings = TwinSettings.of(options)
+        arm = PhysicalArm(settings.plant, settings.terms, settings.seed)
+        if options.answer is not None:
+            settings.write_answer(options.answer, arm.parameters)
+        controller = Controller(
+            settings.version, arm, Geometry.of(arm.links), Plan.resting(settings.home), tell
+        )
+        dashboard = Dashboard(controller, int(settings.robot.serial_number), settings.robot.unlock_after)
         with SideChannel() as side:
-            server = Server(controller, Dashboard(controller, 20181234567, 0.0), host)
+            server = Server(controller, dashboard, settings.host)
+            faults = Faults(settings.faults, server, controller)
             try:
-                ready(host)
-                server.run(side, lambda line: None, lambda: None)
+                controller.tick()
+                ready(settings.host)
+                server.run(side, faults.told, faults.tick)
             finally:
                 server.close()
+                if server.missed:
+                    tell(f"{server.missed} ticks were given up: the machine had no time for them")
 
 
 def tell(message: str) -> None:

@@ -2,6 +2,7 @@
 
 from labhil.plants.arm.effects import EFFECTS, HIDDEN, all_parameters, parameters_of
 from labhil.plants.arm.links import ARMS, UR3E, UR5, UR10E, Link, Links
+from labhil.plants.arm.live import LiveArm, Moment, Sample
 from labhil.plants.arm.plant import ArmPlant, Trajectory, Truth
 
 __all__ = [
@@ -14,6 +15,9 @@ __all__ = [
     "ArmPlant",
     "Link",
     "Links",
+    "LiveArm",
+    "Moment",
+    "Sample",
     "Trajectory",
     "Truth",
     "all_parameters",

@@ -15,6 +15,7 @@ import numpy as np
 
 from labhil.plants.arm.effects import Values
 from labhil.plants.arm.links import JOINTS
+from labhil.plants.arm.newton_euler import RecursiveBody
 from labhil.plants.arm.rigid_body import RigidBody
 from labhil.plants.arm.servo import Motion, cubic, cubic_slope
 from labhil.signals import FloatArray
@@ -47,7 +48,7 @@ class Springs:
 class ElasticBody:
     """The links behind their springs; begins in the balance that :meth:`settle` finds."""
 
-    def __init__(self, body: RigidBody, springs: Springs) -> None:
+    def __init__(self, body: RigidBody | RecursiveBody, springs: Springs) -> None:
         self._body = body
         self._springs = springs
         self._drive = np.zeros((2, JOINTS))

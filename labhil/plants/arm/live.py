@@ -1,0 +1,178 @@
+"""A simulated arm that keeps pace with a clock: one sample at a time, within some tens of µs.
+
+The same world as :class:`~labhil.plants.arm.plant.ArmPlant` (effects, friction, warmth, sensors, servo),
+with the rigid body by recursion instead of a physics engine.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from labhil.plants.arm.effects import Given, resolve
+from labhil.plants.arm.elastic import ElasticBody, Springs
+from labhil.plants.arm.friction import Friction, Memory, Warmth, rub
+from labhil.plants.arm.links import JOINTS, UR5, Links, Vector
+from labhil.plants.arm.newton_euler import RecursiveBody
+from labhil.plants.arm.rigid_body import Load
+from labhil.plants.arm.sensors import Sensors
+from labhil.plants.arm.servo import Lag, Motion, track
+from labhil.signals import FloatArray
+
+ONE = np.zeros(1)
+
+
+class Moment(NamedTuple):
+    """What the controller plans at one moment: rad, rad/s, rad/s², (6,) each."""
+
+    q: FloatArray
+    qd: FloatArray
+    qdd: FloatArray
+
+
+class Sample(NamedTuple):
+    """What the sensors of an arm say, (6,) each: rad, rad/s, A, °C; the supply's voltage, V.
+
+    ``target_current`` A and ``target_moment`` N·m are what the controller expects of the plan, by its own
+    model; ``friction`` (6,) N·m is the truth, which nobody measures.
+    """
+
+    q: FloatArray
+    qd: FloatArray
+    current: FloatArray
+    temperature: FloatArray
+    voltage: float
+    target_current: FloatArray
+    target_moment: FloatArray
+    friction: FloatArray
+
+
+class LiveArm:
+    """The world of one arm, sample by sample; parameters, terms and errors as for ``ArmPlant``.
+
+    ``hidden_cable`` is refused (it needs the physics engine); ``stamp_jitter`` has no meaning here.
+    """
+
+    def __init__(
+        self,
+        parameters: Given | None = None,
+        terms: Iterable[str] = (),
+        seed: int = 0,
+        links: Links = UR5,
+    ) -> None:
+        self.links = links
+        self._values = values = resolve(tuple(terms), parameters or {})
+        self._expected = RecursiveBody(links)
+        self._body = RecursiveBody(links, Load.of(values.numbers))
+        springs = Springs.of(values)
+        self._elastic = ElasticBody(self._body, springs) if springs is not None else None
+        self._friction, self._warmth = Friction.of(values), Warmth.of(values)
+        noise, world = np.random.default_rng(seed).spawn(2)
+        self._sensors, self._world = Sensors.of(values, noise), world
+        self._bandwidth = values.number("servo_bandwidth")
+        self._late = values.number("clock_offset.offset")
+        self._ripple = tuple(values.six(f"torque_ripple.{name}") for name in ("amplitude", "order", "phase"))
+        self._inertia, self._force = values.six("added_inertia.inertia"), values.six("constant_force.force")
+        self._temperature = values.six("start_temperature").copy()
+        self._h = np.zeros(1)
+        self.place(np.zeros(JOINTS))
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Every number in force by its key: ``coulomb_friction.level[2]`` for joint 2."""
+        return self._values.by_key()
+
+    @property
+    def torque_constant(self) -> FloatArray:
+        """N·m/A at the joints (6,)."""
+        return self._warmth.torque_constant
+
+    def place(self, q: FloatArray) -> None:
+        """Put the arm at rest at the angles (6,), rad; joints stay as warm as they are."""
+        still = np.zeros(JOINTS)
+        self._clock = 0.0
+        self._past = deque([(0.0, Moment(np.array(q, dtype=np.float64), still, still))])
+        self._seen = Lag.settled(still, self._bandwidth)
+        self._behind = Lag.settled(still, self._bandwidth)
+        if self._elastic is not None:
+            self._elastic.settle(np.array(q, dtype=np.float64), still, still)
+        stuck = self._world.uniform(-1.0, 1.0, JOINTS)
+        bent = stuck * self._friction.coulomb / np.maximum(self._friction.stiffness, 1.0)
+        self._memory = Memory(
+            np.array(q, dtype=np.float64), still.copy(), stuck, bent, self._temperature.copy()
+        )
+
+    def expect(self, mass: float, centre: Vector, gravity: Vector) -> None:
+        """Tell the controller's model what the flange carries (kg, m) and which way weight pulls (m/s²)."""
+        self._expected = RecursiveBody(self.links)
+        self._expected.table.carry(mass, centre)
+        self._expected.table.gravity[:] = gravity
+
+    def expected(self) -> RecursiveBody:
+        """The controller's own model of the arm."""
+        return self._expected
+
+    def step(self, plan: Moment, h: float) -> Sample:
+        """Let h (s) pass while the drives follow the plan to a moment; sample then."""
+        self._clock += h
+        self._past.append((self._clock, plan))
+        self._h[0] = h
+        seen = track(_motion(plan), self._h, self._bandwidth, self._seen)
+        behind = seen
+        if self._late > 0.0:
+            behind = track(_motion(self._earlier()), self._h, self._bandwidth, self._behind)
+        else:
+            self._past.clear()
+        body = self._body_torque(behind)
+        other = self._other_torque(behind)
+        friction, temperature = np.empty_like(body), np.empty_like(body)
+        rub(
+            behind.q, behind.qd, self._h, body, other, self._memory, self._friction, self._warmth,
+            friction, temperature,
+        )  # fmt: skip
+        self._temperature = self._memory.temperature
+        return self._sampled(plan, seen, body + friction + other, friction)
+
+    def _body_torque(self, motion: Motion) -> FloatArray:
+        if self._elastic is not None:
+            return self._elastic.torques(motion, self._h)
+        return self._body.torques(motion.q, motion.qd, motion.qdd)
+
+    def _earlier(self) -> Moment:
+        """The plan as it was ``clock_offset`` ago, on straight lines between ticks."""
+        wanted, past = self._clock - self._late, self._past
+        while len(past) > 2 and past[1][0] <= wanted:
+            past.popleft()
+        (begin, first), (end, last) = past[0], past[1]
+        share = min(max((wanted - begin) / (end - begin), 0.0), 1.0)
+        return Moment(*(a + share * (b - a) for a, b in zip(first, last, strict=True)))
+
+    def _other_torque(self, motion: Motion) -> FloatArray:
+        """Torques (1, 6) N·m that neither the links nor friction ask for."""
+        amplitude, order, phase = self._ripple
+        return np.asarray(
+            amplitude * np.sin(order * motion.q + phase) + self._inertia * motion.qdd + self._force
+        )
+
+    def _sampled(self, plan: Moment, seen: Motion, torque: FloatArray, friction: FloatArray) -> Sample:
+        sensors, constant = self._sensors, self._warmth.torque_constant
+        current = torque / constant
+        moment = self._expected.torques(plan.q[None], plan.qd[None], plan.qdd[None])[0]
+        power = (torque * seen.qd + self._warmth.resistance * current**2).sum(axis=1)
+        return Sample(
+            q=sensors.angles(seen.q)[0],
+            qd=sensors.velocities(seen.qd)[0],
+            current=sensors.currents(current)[0],
+            temperature=sensors.temperatures(self._memory.temperature[None])[0],
+            voltage=float(sensors.voltage(power)[0]),
+            target_current=moment / constant,
+            target_moment=moment,
+            friction=friction[0],
+        )
+
+
+def _motion(moment: Moment) -> Motion:
+    return Motion(ONE, moment.q[None], moment.qd[None], moment.qdd[None])

@@ -1,0 +1,126 @@
+"""Motions without an end: they follow set points that a program gives at any tick."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import sqrt
+
+import numpy as np
+
+from labhil_sim_ur5.kinematics import Geometry
+from labhil_sim_ur5.motion import (
+    ACCELERATION_LIMIT,
+    JOINT_SPEED,
+    SLOWEST,
+    Plan,
+    joint_rates,
+    towards,
+)
+from labhil_sim_ur5.poses import Pose, rotation_of, times, transposed, turned, vector_of
+
+
+class Servo:
+    """``servoj``: the plan follows a set point that may change at any tick.
+
+    q̈ = gain·(q_set − q − lookahead·q̇), within the joints' limits: natural frequency √gain rad/s, damping
+    ½·lookahead·√gain, lag ``lookahead`` behind a ramp. The manufacturer does not publish its own law; this
+    one has its two numbers and what is said of them: more gain is stiffer, more lookahead smoother.
+    """
+
+    def __init__(self, now: Plan) -> None:
+        self._q, self._qd = now.q.copy(), now.qd.copy()
+        self._set = now.q.copy()
+        self._gain, self._lookahead = 300.0, 0.1
+        self.done = False
+
+    def aim(self, q: Sequence[float], lookahead: float, gain: float) -> None:
+        """Set the angles (6,) to go to."""
+        self._set = np.array(q, dtype=np.float64)
+        self._lookahead, self._gain = min(max(lookahead, 0.03), 0.2), min(max(gain, 100.0), 2000.0)
+
+    def advance(self, h: float) -> Plan:
+        """Let h (s) pass, by an implicit step that is stable for all gains."""
+        k, before = self._gain, self._qd
+        wanted = (before + h * k * (self._set - self._q)) / (1.0 + h * k * self._lookahead + h * h * k)
+        wanted = np.clip(wanted, -JOINT_SPEED, JOINT_SPEED)
+        step = np.clip(wanted - before, -ACCELERATION_LIMIT * h, ACCELERATION_LIMIT * h)
+        self._qd = before + step
+        self._q = self._q + h * self._qd
+        return Plan(self._q.copy(), self._qd.copy(), step / h)
+
+
+class JointSpeed:
+    """``speedj``: joint velocities, reached together with a steady acceleration of the fastest to change."""
+
+    def __init__(self, now: Plan) -> None:
+        self._q, self._qd = now.q.copy(), now.qd.copy()
+        self._set, self._a = self._qd.copy(), 0.5
+        self.done = False
+
+    def aim(self, qd: Sequence[float], acceleration: float) -> None:
+        """Set the velocities (6,) rad/s to go to, and how fast (rad/s²)."""
+        self._set = np.clip(np.array(qd, dtype=np.float64), -JOINT_SPEED, JOINT_SPEED)
+        self._a = min(max(acceleration, SLOWEST), ACCELERATION_LIMIT)
+
+    def advance(self, h: float) -> Plan:
+        """Let h (s) pass and return the plan then."""
+        before = self._qd
+        self._qd = towards(before, self._set, self._a * h)
+        self._q = self._q + 0.5 * h * (before + self._qd)
+        return Plan(self._q.copy(), self._qd.copy(), (self._qd - before) / h)
+
+
+class ToolSpeed:
+    """``speedl``: velocity and rate of the tool (6,) m/s and rad/s in the base's frame."""
+
+    def __init__(self, now: Plan, arm: Geometry, tool: Pose) -> None:
+        self._arm, self._tool = arm, tool
+        self._q, self._qd = now.q.copy(), now.qd.copy()
+        self._twist = arm.jacobian(self._q, tool) @ self._qd
+        self._set, self._a = self._twist.copy(), 0.25
+        self.done = False
+
+    def aim(self, twist: Sequence[float], acceleration: float) -> None:
+        """Set the velocity to go to, and how fast: m/s² (rad/s² of the turn)."""
+        self._set = np.array(twist, dtype=np.float64)
+        self._a = max(acceleration, SLOWEST)
+
+    def advance(self, h: float) -> Plan:
+        """Let h (s) pass and return the plan then; MotionError near a singularity."""
+        self._twist = towards(self._twist, self._set, self._a * h)
+        before = self._qd
+        middle = self._q + 0.5 * h * before
+        self._qd = joint_rates(self._arm, middle, self._tool, self._twist)
+        self._q = self._q + h * self._qd
+        return Plan(self._q.copy(), self._qd.copy(), (self._qd - before) / h)
+
+
+class Approach:
+    """``servoc``: the tool goes straight to a pose that may change, and slows down there."""
+
+    def __init__(self, now: Plan, arm: Geometry, tool: Pose) -> None:
+        self._arm, self._tool = arm, tool
+        self._speed = ToolSpeed(now, arm, tool)
+        self._plan = now
+        self._set = arm.pose(now.q, tool)
+        self._v, self._a = 0.25, 1.2
+        self.done = False
+
+    def aim(self, pose: Pose, speed: float, acceleration: float) -> None:
+        """Set the pose to go to, m/s and m/s²."""
+        self._set = pose
+        self._v, self._a = max(speed, SLOWEST), max(acceleration, SLOWEST)
+
+    def advance(self, h: float) -> Plan:
+        """Let h (s) pass and return the plan then; MotionError near a singularity."""
+        here = self._arm.pose(self._plan.q, self._tool)
+        rotation = rotation_of(*here[3:])
+        turn = vector_of(times(transposed(rotation), rotation_of(*self._set[3:])))
+        missing = np.array([*np.subtract(self._set[:3], here[:3]), *turned(rotation, turn)])
+        far = max(float(np.linalg.norm(missing[:3])), float(np.linalg.norm(missing[3:])))
+        # at half the deceleration that would do, so that one tick's delay does not carry it beyond
+        speed = min(self._v, sqrt(self._a * far), 0.5 * far / h)
+        twist = missing * (speed / far) if far > 0.0 else np.zeros(6)
+        self._speed.aim(twist.tolist(), 2.0 * self._a)
+        self._plan = self._speed.advance(h)
+        return self._plan
