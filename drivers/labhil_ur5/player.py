@@ -24,7 +24,7 @@ CATCHING_UP = 0.1
 """By how much the path may be played too fast, to come back to ``DELAY``."""
 BLENDING_TIME = 0.5
 """In what time a small distance between the arm and the first waypoint is closed, s."""
-LONGEST_TICK = 0.008
+LONGEST_TICK = 0.02
 """What a tick may count for, s: after a stall the path goes on where it was."""
 FASTEST = 3.2
 """What no joint may be asked for, rad/s: 180°/s is what a UR5 can do."""
