@@ -103,12 +103,11 @@ class Recipe:
     def pack(self, values: Mapping[str, Value]) -> bytes:
         """Return the fields as bytes; struct.error for numbers that do not fit their type."""
         flat: list[float] = []
-        for name in self.names:
-            value = values[name]
-            if isinstance(value, tuple):
-                flat.extend(value)
+        for name, width in zip(self.names, self._widths, strict=True):
+            if width == 1:
+                flat.append(values[name])  # type: ignore[arg-type]
             else:
-                flat.append(value)
+                flat += values[name]  # type: ignore[arg-type]
         return self._struct.pack(*flat)
 
     def unpack(self, data: bytes) -> dict[str, Value]:

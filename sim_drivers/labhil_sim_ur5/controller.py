@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from labhil.signals import FloatArray
 from labhil_sim_ur5.arm import GRAVITY, PhysicalArm
 from labhil_sim_ur5.codec import Value
 from labhil_sim_ur5.kinematics import JOINT_LIMIT, Geometry
@@ -55,13 +56,14 @@ class Controller:
         self.program_name = "<unnamed>"
         self.pace = Pace()
         self.terminals = Terminals(self.values)
-        self.history: deque[tuple[float, ...]] = deque(maxlen=HISTORY)
+        self.history: deque[FloatArray] = deque(maxlen=HISTORY)
         self.ticks = 0
         self.updated: dict[str, int] = {}
         self.contact = 0
         """What ``tool_contact`` says: how many ticks ago something was touched, 0 for nothing."""
         self.gravity: Point = GRAVITY
         self.force_zero = np.zeros(6)
+        self.force_at = 0
         self.arm = arm
         self._pending: tuple[int, Script] | None = None
         self._stopped_at = 0
@@ -213,8 +215,11 @@ class Controller:
         reading = self.arm.step(self.plan, self.period)
         off = self.robot_mode is not RobotMode.RUNNING
         self.reading = reading._replace(current=np.zeros(6)) if off else reading
-        self.history.append(tuple(self.reading.q.tolist()))
-        publish(self)
+        self.history.append(self.reading.q)
+
+    def publish(self, tool: bool = True) -> None:
+        """Write all variables for this tick: only where somebody reads them, for it takes its time."""
+        publish(self, tool)
 
     def _start_pending(self) -> None:
         if self._pending is None or self._pending[0] > self.ticks or self.runtime is not Runtime.STOPPED:

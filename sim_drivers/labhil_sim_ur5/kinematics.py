@@ -13,6 +13,7 @@ from math import acos, atan2, cos, hypot, pi, sin, sqrt
 
 import numpy as np
 
+from labhil.compiled import compiled
 from labhil.errors import UsageError
 from labhil.plants.arm.links import Links
 from labhil.signals import FloatArray
@@ -99,36 +100,11 @@ class Geometry:
         if tool != NO_OFFSET:
             x, y, z = turned(rotation, tool[:3])
             place = (place[0] + x, place[1] + y, place[2] + z)
-        columns = []
-        for axis, at in self._axes(q, rotation):
-            r = (place[0] - at[0], place[1] - at[1], place[2] - at[2])
-            columns.append(
-                (
-                    axis[1] * r[2] - axis[2] * r[1],
-                    axis[2] * r[0] - axis[0] * r[2],
-                    axis[0] * r[1] - axis[1] * r[0],
-                    *axis,
-                )
-            )
-        return np.array(columns).T
-
-    def _axes(self, q: Joints6, rotation: Rotation) -> Iterator[tuple[Point, Point]]:
-        """Direction and one point of each joint's axis."""
-        c1, s1, q23 = cos(q[0]), sin(q[0]), q[1] + q[2]
-        c, s = cos(q23 + q[3]), sin(q23 + q[3])
-        across = (s1, -c1, 0.0)
-        elbow = self.a2 * cos(q[1])
-        wrist = elbow + self.a3 * cos(q23)
-        height = self.d1 + self.a2 * sin(q[1])
-        top = height + self.a3 * sin(q23)
-        yield (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
-        yield across, (0.0, 0.0, self.d1)
-        yield across, (c1 * elbow, s1 * elbow, height)
-        yield across, (c1 * wrist, s1 * wrist, top)
-        at = (c1 * wrist + self.d4 * s1, s1 * wrist - self.d4 * c1, top)
-        yield (c1 * s, s1 * s, -c), at
-        last = (rotation[2], rotation[5], rotation[8])
-        yield last, (at[0] + self.d5 * c1 * s, at[1] + self.d5 * s1 * s, at[2] - self.d5 * c)
+        columns = np.empty((6, 6))
+        axis = (rotation[2], rotation[5], rotation[8])
+        lengths = (self.d1, self.a2, self.a3, self.d4, self.d5)
+        jacobian_columns(lengths, (float(q[0]), float(q[1]), float(q[2]), float(q[3])), axis, place, columns)
+        return columns.T
 
     def inverse(self, pose: Pose, near: Joints6, tool: Pose = NO_OFFSET) -> Joints | None:
         """Return the joint angles that bring the tool to a pose, those nearest to ``near`` (6,) rad.
@@ -197,3 +173,34 @@ def _turned(q: Joints, near: Joints6) -> Joints:
 
 def _distance(q: Joints6, near: Joints6) -> float:
     return sqrt(sum((x - y) ** 2 for x, y in zip(q, near, strict=True)))
+
+
+@compiled
+def jacobian_columns(
+    lengths: tuple[float, float, float, float, float],
+    q: tuple[float, float, float, float],
+    last: Point,
+    place: Point,
+    out: FloatArray,
+) -> None:
+    """Write one row (6,) a joint: z × r and z, with its axis z and the way r from there to ``place``."""
+    d1, a2, a3, d4, d5 = lengths
+    c1, s1, q23 = cos(q[0]), sin(q[0]), q[1] + q[2]
+    c, s = cos(q23 + q[3]), sin(q23 + q[3])
+    elbow, height = a2 * cos(q[1]), d1 + a2 * sin(q[1])
+    wrist, top = elbow + a3 * cos(q23), height + a3 * sin(q23)
+    x, y = c1 * wrist + d4 * s1, s1 * wrist - d4 * c1
+    axes = ((0.0, 0.0, 1.0), (s1, -c1, 0.0), (s1, -c1, 0.0), (s1, -c1, 0.0), (c1 * s, s1 * s, -c), last)
+    points = (
+        (0.0, 0.0, 0.0),
+        (0.0, 0.0, d1),
+        (c1 * elbow, s1 * elbow, height),
+        (c1 * wrist, s1 * wrist, top),
+        (x, y, top),
+        (x + d5 * c1 * s, y + d5 * s1 * s, top - d5 * c),
+    )
+    for j in range(6):
+        ax, ay, az = axes[j]
+        rx, ry, rz = place[0] - points[j][0], place[1] - points[j][1], place[2] - points[j][2]
+        out[j, 0], out[j, 1], out[j, 2] = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
+        out[j, 3], out[j, 4], out[j, 5] = ax, ay, az

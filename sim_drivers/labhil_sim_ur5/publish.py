@@ -13,16 +13,24 @@ if TYPE_CHECKING:
     from labhil.signals import FloatArray
     from labhil_sim_ur5.controller import Controller
 
-FORCE_FILTER = 10.0
-"""Hz of the low pass behind the force that the controller estimates at the tool."""
+FORCE_PERIOD = 0.016
+"""s between two estimates of the force at the tool."""
+FORCE_FILTER = 5.0
+"""Hz of the low pass behind them."""
 SINGULAR = 1e-3
 """Determinant of the Jacobian below which the estimate of the force is kept as it was."""
 ELECTRONICS = 0.6
 """A that the controller draws beside its motors."""
 
 
-def publish(controller: Controller) -> None:
-    """Write all variables for this tick."""
+TOOL = (
+    "actual_TCP_", "target_TCP_", "actual_tool_accelerometer", "tcp_force_", "ft_raw_", "elbow_",
+)  # fmt: skip
+"""How the names of variables begin that are about the tool."""
+
+
+def publish(controller: Controller, tool: bool = True) -> None:
+    """Write all variables for this tick, those about the tool only when they are wanted."""
     values, plan, reading = controller.values, controller.plan, controller.reading
     values["timestamp"] = controller.ticks * controller.period
     values["target_q"], values["target_qd"], values["target_qdd"] = (
@@ -43,7 +51,8 @@ def publish(controller: Controller) -> None:
     values["actual_robot_current"] = ELECTRONICS + _motor_current(controller)
     if "actual_current_as_torque" in values:
         values["actual_current_as_torque"] = _six(reading.current * controller.arm.torque_constant)
-    _tool(controller)
+    if tool:
+        _tool(controller)
     _modes(controller)
 
 
@@ -63,11 +72,14 @@ def _tool(controller: Controller) -> None:
     values["actual_TCP_speed"] = _six(jacobian @ reading.qd)
     values["target_TCP_speed"] = _six(jacobian @ plan.qd)
     values["actual_tool_accelerometer"] = _felt(controller, pose, jacobian)
-    force = _force(controller, jacobian)
-    values["actual_TCP_force"] = force
-    values["tcp_force_scalar"] = float(np.linalg.norm(force[:3]))
-    if "ft_raw_wrench" in values:
-        values["ft_raw_wrench"] = force
+    since = controller.ticks - controller.force_at
+    if since * controller.period >= FORCE_PERIOD:
+        controller.force_at = controller.ticks
+        force = _force(controller, jacobian, since * controller.period)
+        values["actual_TCP_force"] = force
+        values["tcp_force_scalar"] = float(np.linalg.norm(force[:3]))
+        if "ft_raw_wrench" in values:
+            values["ft_raw_wrench"] = force
     if "elbow_position" in values:
         place, velocity = geometry.elbow(reading.q, reading.qd)
         values["elbow_position"], values["elbow_velocity"] = place, velocity
@@ -80,7 +92,7 @@ def _felt(controller: Controller, pose: Pose, jacobian: FloatArray) -> tuple[flo
     return turned(transposed(rotation_of(*pose[3:])), (ax - gx, ay - gy, az - gz))
 
 
-def _force(controller: Controller, jacobian: FloatArray) -> Pose:
+def _force(controller: Controller, jacobian: FloatArray, h: float) -> Pose:
     """What acts on the tool from outside, N and N·m: what the motors give beyond model and friction."""
     before = controller.values["actual_TCP_force"]
     assert isinstance(before, tuple)
@@ -88,7 +100,7 @@ def _force(controller: Controller, jacobian: FloatArray) -> Pose:
         return _as_pose(before)
     reading = controller.reading
     beyond = reading.current * controller.arm.torque_constant - reading.friction - reading.target_moment
-    share = 1.0 - np.exp(-2.0 * np.pi * FORCE_FILTER * controller.period)
+    share = 1.0 - np.exp(-2.0 * np.pi * FORCE_FILTER * h)
     wrench = -np.linalg.solve(jacobian.T, beyond) - controller.force_zero
     old = np.array(before)
     return _six(old + share * (wrench - old))

@@ -26,6 +26,7 @@ FREEDRIVE_FREE = 0
 def zero_force(program: Program) -> None:
     """``zeroFtSensor``: command 8."""
     controller = program.controller
+    controller.publish()
     controller.force_zero = controller.force_zero + np.array(controller.values["actual_TCP_force"])
 
 

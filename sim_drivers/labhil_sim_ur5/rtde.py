@@ -16,6 +16,7 @@ from labhil_sim_ur5.codec import (
     text_package,
     type_list,
 )
+from labhil_sim_ur5.publish import TOOL
 from labhil_sim_ur5.variables import Version, input_types, output_types
 
 PROTOCOL = b"\x00\x02"
@@ -50,6 +51,7 @@ class Conversation:
             Command.PAUSE: self._pause,
         }
         self.started = False
+        self.reads_tool = False
         self.ignored = 0
         """Data packages that did not fit their recipe."""
         self.received: list[Mapping[str, Value]] = []
@@ -113,6 +115,7 @@ class Conversation:
         rate = self._variables.version.rate
         self._every = max(round(rate / min(max(frequency, 1.0), rate)), 1)
         self._output = Recipe(names, tuple(types))
+        self.reads_tool = any(name.startswith(TOOL) for name in names)
         return type_list(1, types)
 
     def _setup_inputs(self, payload: bytes) -> bytes:

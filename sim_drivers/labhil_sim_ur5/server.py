@@ -21,8 +21,10 @@ from labhil_sim_ur5.rtde import Conversation, Variables
 from labhil_sim_ur5.script import parse
 
 RTDE_PORT, SCRIPT_PORT, DASHBOARD_PORT = 30004, 30003, 29999
-PATIENCE = 0.1
+PATIENCE = 0.5
 """How far (s) the controller may fall behind and still catch up; beyond that its world has paused."""
+TOO_LATE = 0.1
+"""How far (s) behind a tick is done, but no longer told to anybody."""
 LARGEST_SCRIPT = 1 << 20
 SEND_BUFFER = 1 << 16
 """Bytes that wait for a client in the kernel: about 50 packages."""
@@ -94,6 +96,8 @@ class Server:
         self.variables = Variables(controller.version)
         self.missed = 0
         """Ticks that were given up because the machine had no time."""
+        self.untold = 0
+        """Ticks that were done too late to be told."""
         self._dashboard = dashboard
         self._clients: dict[int, Client] = {}
         self._lines: dict[int, Lines] = {}
@@ -129,7 +133,10 @@ class Server:
                 due += missed * self.controller.period
             each_tick()
             self.controller.tick()
-            self._send_samples()
+            if now - due < TOO_LATE:
+                self._send_samples()
+            else:
+                self.untold += 1
             due += self.controller.period
 
     def rtde_clients(self) -> list[RtdeClient]:
@@ -212,13 +219,15 @@ class Server:
             self.controller.upload(parse(text))
 
     def _send_samples(self) -> None:
-        values, tick = self.controller.values, self.controller.ticks
-        for client in self.rtde_clients():
-            if client.conversation.due(tick):
-                try:
-                    client.send(client.conversation.sample(values))
-                except OSError:
-                    self.hang_up(client)
+        tick = self.controller.ticks
+        due = [client for client in self.rtde_clients() if client.conversation.due(tick)]
+        if due:
+            self.controller.publish(any(client.conversation.reads_tool for client in due))
+        for client in due:
+            try:
+                client.send(client.conversation.sample(self.controller.values))
+            except OSError:
+                self.hang_up(client)
 
 
 class ScriptClient(Client):

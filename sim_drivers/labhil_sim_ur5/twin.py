@@ -60,12 +60,15 @@ class Ur5Twin:
             faults = Faults(settings.faults, server, controller)
             try:
                 controller.tick()
+                controller.publish()
                 ready(settings.host)
                 server.run(side, faults.told, faults.tick)
             finally:
                 server.close()
-                if server.missed:
-                    tell(f"{server.missed} ticks were given up: the machine had no time for them")
+                if server.missed or server.untold:
+                    tell(
+                        f"the machine was too slow: {server.missed} ticks left out, {server.untold} too late"
+                    )
 
 
 def tell(message: str) -> None:

@@ -12,17 +12,39 @@ from typing import NamedTuple
 
 import numpy as np
 
+from labhil.compiled import compiled
 from labhil.plants.arm.effects import Given, resolve
 from labhil.plants.arm.elastic import ElasticBody, Springs
 from labhil.plants.arm.friction import Friction, Memory, Warmth, rub
 from labhil.plants.arm.links import JOINTS, UR5, Links, Vector
-from labhil.plants.arm.newton_euler import RecursiveBody
+from labhil.plants.arm.newton_euler import RecursiveBody, Table, recursion
 from labhil.plants.arm.rigid_body import Load
 from labhil.plants.arm.sensors import Sensors
-from labhil.plants.arm.servo import Lag, Motion, track
+from labhil.plants.arm.servo import Lag, Motion, track, walk
 from labhil.signals import FloatArray
 
 ONE = np.zeros(1)
+
+
+class Extra(NamedTuple):
+    """Torques beside links and friction, (6,) each: ripple, inertia of the drives kg·m², steady N·m."""
+
+    amplitude: FloatArray
+    order: FloatArray
+    phase: FloatArray
+    inertia: FloatArray
+    force: FloatArray
+
+
+class State(NamedTuple):
+    """What is true now, (6,) each: rad, rad/s and N·m."""
+
+    q: FloatArray
+    qd: FloatArray
+    body: FloatArray
+    expected: FloatArray
+    friction: FloatArray
+    torque: FloatArray
 
 
 class Moment(NamedTuple):
@@ -74,8 +96,12 @@ class LiveArm:
         self._sensors, self._world = Sensors.of(values, noise), world
         self._bandwidth = values.number("servo_bandwidth")
         self._late = values.number("clock_offset.offset")
-        self._ripple = tuple(values.six(f"torque_ripple.{name}") for name in ("amplitude", "order", "phase"))
-        self._inertia, self._force = values.six("added_inertia.inertia"), values.six("constant_force.force")
+        self._extra = Extra(
+            *(values.six(f"torque_ripple.{name}") for name in ("amplitude", "order", "phase")),
+            values.six("added_inertia.inertia"),
+            values.six("constant_force.force"),
+        )
+        self._state = State(*(np.zeros(JOINTS) for _ in State._fields))
         self._temperature = values.six("start_temperature").copy()
         self._h = np.zeros(1)
         self.place(np.zeros(JOINTS))
@@ -118,28 +144,22 @@ class LiveArm:
     def step(self, plan: Moment, h: float) -> Sample:
         """Let h (s) pass while the drives follow the plan to a moment; sample then."""
         self._clock += h
-        self._past.append((self._clock, plan))
         self._h[0] = h
-        seen = track(_motion(plan), self._h, self._bandwidth, self._seen)
-        behind = seen
+        behind = plan
         if self._late > 0.0:
-            behind = track(_motion(self._earlier()), self._h, self._bandwidth, self._behind)
-        else:
-            self._past.clear()
-        body = self._body_torque(behind)
-        other = self._other_torque(behind)
-        friction, temperature = np.empty_like(body), np.empty_like(body)
-        rub(
-            behind.q, behind.qd, self._h, body, other, self._memory, self._friction, self._warmth,
-            friction, temperature,
+            self._past.append((self._clock, plan))
+            behind = self._earlier()
+        state = self._state
+        if self._elastic is not None:
+            motion = track(_motion(behind), self._h, self._bandwidth, _copied(self._behind))
+            state.body[:] = self._elastic.torques(motion, self._h)[0]
+        advance(
+            plan, behind, self._h, self._bandwidth, self._seen, self._behind, self._elastic is None,
+            self._body.table, self._expected.table, self._memory, self._friction, self._warmth, self._extra,
+            state,
         )  # fmt: skip
         self._temperature = self._memory.temperature
-        return self._sampled(plan, seen, body + friction + other, friction)
-
-    def _body_torque(self, motion: Motion) -> FloatArray:
-        if self._elastic is not None:
-            return self._elastic.torques(motion, self._h)
-        return self._body.torques(motion.q, motion.qd, motion.qdd)
+        return self._sampled()
 
     def _earlier(self) -> Moment:
         """The plan as it was ``clock_offset`` ago, on straight lines between ticks."""
@@ -150,29 +170,71 @@ class LiveArm:
         share = min(max((wanted - begin) / (end - begin), 0.0), 1.0)
         return Moment(*(a + share * (b - a) for a, b in zip(first, last, strict=True)))
 
-    def _other_torque(self, motion: Motion) -> FloatArray:
-        """Torques (1, 6) N·m that neither the links nor friction ask for."""
-        amplitude, order, phase = self._ripple
-        return np.asarray(
-            amplitude * np.sin(order * motion.q + phase) + self._inertia * motion.qdd + self._force
-        )
-
-    def _sampled(self, plan: Moment, seen: Motion, torque: FloatArray, friction: FloatArray) -> Sample:
-        sensors, constant = self._sensors, self._warmth.torque_constant
-        current = torque / constant
-        moment = self._expected.torques(plan.q[None], plan.qd[None], plan.qdd[None])[0]
-        power = (torque * seen.qd + self._warmth.resistance * current**2).sum(axis=1)
+    def _sampled(self) -> Sample:
+        """Measure; arrays are the caller's own."""
+        sensors, constant, state = self._sensors, self._warmth.torque_constant, self._state
+        current = state.torque / constant
+        power = state.torque * state.qd + self._warmth.resistance * current * current
         return Sample(
-            q=sensors.angles(seen.q)[0],
-            qd=sensors.velocities(seen.qd)[0],
-            current=sensors.currents(current)[0],
-            temperature=sensors.temperatures(self._memory.temperature[None])[0],
-            voltage=float(sensors.voltage(power)[0]),
-            target_current=moment / constant,
-            target_moment=moment,
-            friction=friction[0],
+            q=sensors.angles(state.q),
+            qd=sensors.velocities(state.qd),
+            current=sensors.currents(current[None])[0],
+            temperature=sensors.temperatures(self._memory.temperature),
+            voltage=float(sensors.voltage(power.sum(keepdims=True))[0]),
+            target_current=state.expected / constant,
+            target_moment=state.expected.copy(),
+            friction=state.friction.copy(),
         )
 
 
 def _motion(moment: Moment) -> Motion:
     return Motion(ONE, moment.q[None], moment.qd[None], moment.qdd[None])
+
+
+def _copied(lag: Lag) -> Lag:
+    return Lag(lag.error.copy(), lag.rate.copy(), lag.planned.copy())
+
+
+@compiled
+def advance(
+    plan: Moment,
+    behind: Moment,
+    h: FloatArray,
+    bandwidth: float,
+    seen_lag: Lag,
+    behind_lag: Lag,
+    rigid: bool,
+    body: Table,
+    expected: Table,
+    memory: Memory,
+    friction: Friction,
+    warmth: Warmth,
+    extra: Extra,
+    state: State,
+) -> None:
+    """Carry the world over one tick, in place; ``state.body`` is given where the joints are not rigid."""
+    one = (1, 6)
+    q, qd, qdd = np.empty(one), np.empty(one), np.empty(one)
+    walk(as_row(plan.q), as_row(plan.qd), as_row(plan.qdd), h, bandwidth, seen_lag, q, qd, qdd)
+    state.q[:], state.qd[:] = q[0], qd[0]
+    walk(as_row(behind.q), as_row(behind.qd), as_row(behind.qdd), h, bandwidth, behind_lag, q, qd, qdd)
+    if rigid:
+        recursion(body, q[0], qd[0], qdd[0], state.body)
+    recursion(expected, plan.q, plan.qd, plan.qdd, state.expected)
+    other, rubbed, warm = np.empty(one), np.empty(one), np.empty(one)
+    for j in range(6):
+        other[0, j] = (
+            extra.amplitude[j] * np.sin(extra.order[j] * q[0, j] + extra.phase[j])
+            + extra.inertia[j] * qdd[0, j]
+            + extra.force[j]
+        )
+    rub(q, qd, h, as_row(state.body), other, memory, friction, warmth, rubbed, warm)
+    for j in range(6):
+        state.friction[j] = rubbed[0, j]
+        state.torque[j] = state.body[j] + rubbed[0, j] + other[0, j]
+
+
+@compiled
+def as_row(values: FloatArray) -> FloatArray:
+    """Return six values as a row (1, 6)."""
+    return values.copy().reshape((1, 6))

@@ -93,6 +93,12 @@ class RecursiveBody:
             recursion(self.table, q[i], qd[i], qdd[i], out[i])
         return out + self._armature * qdd
 
+    def torque(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
+        """Return the joint torques (6,) N·m of one moment, without armature."""
+        out = np.empty(JOINTS)
+        recursion(self.table, q, qd, qdd, out)
+        return out
+
     def accelerations(self, q: FloatArray, qd: FloatArray, torque: FloatArray) -> FloatArray:
         """Return the joint accelerations (6,) rad/s² under joint torques (6,) N·m, armature included."""
         still = np.zeros(JOINTS)
