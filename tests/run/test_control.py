@@ -123,6 +123,7 @@ def test_a_pause_makes_safe_and_the_steps_go_on_where_they_were(held: Callable[[
     assert state.t[-1] - state.t[0] > 8.0 + 2.0
 
 
+@pytest.mark.extended
 def test_a_stop_is_no_failure_and_an_abort_is(held: Callable[[float], Held]) -> None:
     run = held(100.0)
     run.wait_for(RunState.RUNNING, elapsed=0.5)
@@ -184,3 +185,7 @@ def test_a_request_to_end_is_not_taken_back() -> None:
         control.pause()
     with pytest.raises(ValueError, match="cannot become finished"):
         control.become(RunState.FINISHED, "")
+
+
+def test_the_diagram_in_the_documentation_is_made_of_the_table() -> None:
+    assert f"```mermaid\n{mermaid()}\n```" in (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")

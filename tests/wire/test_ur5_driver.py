@@ -118,7 +118,9 @@ def test_it_listens_moves_and_stops(twin) -> None:
         first = driver.read(0.5)
         assert np.all(np.isfinite(first.values[:, driver.spec.stream.columns_of("actual_q")]))
         begin = latest(driver, "target_q")
-        until(driver, lambda: abs(latest(driver, "target_q")[3] - begin[3]) > 0.01, {"target_q_3": begin[3] - 1})
+        until(
+            driver, lambda: abs(latest(driver, "target_q")[3] - begin[3]) > 0.01, {"target_q_3": begin[3] - 1}
+        )
         driver.safe()
         until(driver, lambda: bool(np.all(np.abs(latest(driver, "target_qd")) < STILL)))
         assert abs(latest(driver, "target_q")[3] - begin[3]) < 0.6
