@@ -21,8 +21,15 @@ class DriverSpec:
     """What is known of a device before anything is connected.
 
     ``commands`` are the signals that can be set; ``safe`` gives each its value in the safe state
-    (ball and beam: level; solenoid: 0 A). ``command_timeout`` (s of the device's clock) is how long
-    the device itself waits for any valid message before it goes there on its own.
+    (ball and beam: level; solenoid: 0 A), unless it is to stay what it is then (an arm stops and
+    holds). A vector such as six joints is commanded by its columns, ``target_q_0``, ``target_q_1``, ….
+    ``command_timeout`` (s of the device's clock) is how long the device itself waits for any valid
+    message before it goes there on its own.
+
+    ``waypoint_rate`` (Hz) is for a :class:`TimedDriver`: how often it wants to be told where to be.
+    ``approach`` names commands that have to stand where a run begins before the run's clock starts, and
+    how near (SI): the driver goes there by itself when it is told. ``ready`` names signals and the values
+    they must have by then.
     """
 
     name: str
@@ -33,6 +40,9 @@ class DriverSpec:
     safe: Mapping[str, float]
     command_timeout: float
     address_help: str
+    waypoint_rate: float = 0.0
+    approach: Mapping[str, float] = field(default_factory=dict)
+    ready: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,10 +62,14 @@ class DeviceInfo:
 
 @dataclass(slots=True)
 class Counters:
-    """What happened on the wire since the connection was made."""
+    """What happened on the wire since the connection was made.
+
+    ``lost`` samples are holes in ``seq``; ``stale`` ones bore the time of the sample before.
+    """
 
     frames: int = 0
     lost: int = 0
+    stale: int = 0
     crc_errors: int = 0
     resyncs: int = 0
     resets: int = 0
@@ -106,6 +120,23 @@ class Driver(Protocol):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None: ...
+
+
+@runtime_checkable
+class TimedDriver(Driver, Protocol):
+    """A driver that moves along a path: its commands belong to times of the device's clock.
+
+    It plays them a little later and as smoothly as they are, however unevenly they come. It also says
+    what keeps its device from being commanded, which ends a run as a limit does.
+    """
+
+    def command_at(self, values: Mapping[str, float], t_hw_ns: int) -> None:
+        """As :meth:`Driver.command`, for a time of the device's clock."""
+        ...
+
+    def trouble(self) -> str:
+        """Return why the device cannot be commanded, in words; empty when it can."""
+        ...
 
 
 class Twin(Protocol):

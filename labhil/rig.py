@@ -181,7 +181,8 @@ class RigFile(_Section):
     def _names_exist(self) -> RigFile:
         signals = {signal.name for signal in self.kind.signals()}
         _check_names("known", self.known, set(self.kind.known))
-        _check_names("limits", self.limits, signals)
+        columns = {column for signal in self.kind.signals() for column in signal.columns()}
+        _check_names("limits", self.limits, signals | columns)
         _check_names("interlocks", self.interlocks, signals)
         _check_names("channels", self.channels, signals | {"t"})
         for name, value in self.known.items():

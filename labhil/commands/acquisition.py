@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from labhil.console import split_names, tell, write_json
 from labhil.errors import UsageError
+
+if TYPE_CHECKING:
+    from labhil.driver import DriverSpec
+    from labhil.signals import Signal
 
 
 def add_acquisition(app: typer.Typer) -> None:
@@ -102,8 +106,16 @@ def devices(
             f"  samples at {spec.stream.rate:g} Hz; safe after {spec.command_timeout:g} s without a command"
         )
         for signal in spec.stream.signals:
-            command = f", commanded, safe at {spec.safe[signal.name]:g}" if signal.name in spec.safe else ""
+            command = _commanded(signal, spec)
             print(f"  {signal.name} [{signal.unit}] {signal.description}{command}")
+
+
+def _commanded(signal: Signal, spec: DriverSpec) -> str:
+    if signal not in spec.commands:
+        return ""
+    if signal.name not in spec.safe:
+        return ", commanded, holds when safe"
+    return f", commanded, safe at {spec.safe[signal.name]:g}"
 
 
 def run(

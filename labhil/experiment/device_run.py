@@ -25,6 +25,7 @@ from labhil.errors import (
     RunError,
     RunStoppedError,
 )
+from labhil.experiment.approach import Approach, Waypoints
 from labhil.experiment.controller import Controller
 from labhil.experiment.plan import DevicePlan
 from labhil.service.hosts import ConnectedDevice
@@ -67,6 +68,8 @@ class DeviceRun:
         self._bus, self._duration, self._changed = bus, duration, changed
         self._codec = Codec(device.stream)
         self._controller = Controller(plan.steps, device.stream, device.safe)
+        self._approach = Approach(plan.spec, device.stream)
+        self._waypoints = Waypoints(plan.spec.waypoint_rate)
         self._started_at_ns: int | None = None
         self._since_ns = 0
         self._resting = False
@@ -121,6 +124,8 @@ class DeviceRun:
         self._since_ns = time.time_ns()
         self._started_at_ns = None  # however long the device has rested, its steps go on where they were
         self.rests, self.comes_back = "", False
+        self._approach.begin()
+        self._waypoints.begin()
         self._resting = False
         self._running = True
 
@@ -136,16 +141,22 @@ class DeviceRun:
             return
         batch = self._codec.decode(payloads)
         requested: dict[str, float] = {}
+        t_hw_ns: int | None = None
         for t_ns, values in zip(batch.t_hw_ns.tolist(), batch.values.tolist(), strict=True):
             if self._started_at_ns is None:
+                requested = self._controller.requested(self.elapsed, values)
+                if not self._approach.is_there(requested, values):
+                    continue
                 self._started_at_ns = t_ns - round(self.elapsed * 1e9)
+            t_hw_ns = t_ns
             self.elapsed = (t_ns - self._started_at_ns) * 1e-9
             requested = self._controller.requested(self.elapsed, values)
         if self.done:
             self._running = False
             self._changed.set()
-        else:
-            setpoint = Setpoint(self._token, time.time_ns(), requested)
+        elif self._waypoints.is_due(int(batch.t_hw_ns[-1])):
+            timed = t_hw_ns if self._waypoints.rate else None
+            setpoint = Setpoint(self._token, time.time_ns(), requested, timed)
             self._setpoints.put(setpoint.to_bytes())
 
     def _take_events(self, _key: str, payloads: list[bytes]) -> None:

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from labhil.errors import ExperimentFileError, UnknownNameError, suggestion
+from labhil.experiment.excitation.fade import faded
 from labhil.experiment.excitation.function import Excitation, Excitations, Seed
 from labhil.experiment.excitation.make import ExcitationKeys, check_keys, make_excitation
 from labhil.experiment.excitation.table import Between
@@ -96,6 +97,7 @@ class Step(_Section):
     """One of ``[[steps]]``: what one signal of one device does for ``duration`` s of the device's clock.
 
     ``at`` is when it starts, s after the run did; without it, when everything before it has ended.
+    ``fade`` lets it grow from ``offset`` (0 without) and die away there again, in so many s at either end.
     """
 
     device: str
@@ -126,6 +128,7 @@ class Step(_Section):
     cosine: tuple[Numbers, ...] | None = None
     path: str | None = None
     between: Between | None = None
+    fade: Positive | None = None
     seed: Natural | None = None
 
     @model_validator(mode="after")
@@ -145,7 +148,8 @@ class Step(_Section):
         ``seed`` begins what is drawn unless the step has its own; ``directory`` is where relative paths
         begin. Raises ValueError where a table cannot be read.
         """
-        return make_excitation(self.excitation, self._keys(), self.duration, seed, directory)
+        made = make_excitation(self.excitation, self._keys(), self.duration, seed, directory)
+        return made if self.fade is None else faded(made, self.duration, self.fade, self.offset or 0.0)
 
     def _keys(self) -> ExcitationKeys:
         return ExcitationKeys(**{field.name: getattr(self, field.name) for field in fields(ExcitationKeys)})

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from labhil.driver import DriverSpec
 from labhil.errors import ExperimentFileError, UnknownNameError
+from labhil.experiment.continuity import refuse_jumps
 from labhil.experiment.excitation.function import columns_of, sampled
 from labhil.experiment.excitation.spectrum import Spectrum, spectrum_of
 from labhil.experiment.experiment import TWIN, DeviceSection, Experiment, TimedStep
@@ -88,6 +89,8 @@ def make_plan(experiment: Experiment) -> Plan:
     devices = tuple(_device_plan(experiment, name, schedule) for name in experiment.devices)
     by_name = {device.name: device for device in devices}
     steps = tuple(_step_plan(experiment.path, timed, by_name[timed.step.device]) for timed in schedule)
+    for device in devices:
+        refuse_jumps(experiment.path, device.spec, device.steps)
     return Plan(experiment, devices, steps, experiment.duration)
 
 
@@ -122,7 +125,7 @@ def _check_twin(section: DeviceSection) -> None:
 
 def _step_plan(path: Path, timed: TimedStep, device: DevicePlan) -> StepPlan:
     step, place = timed.step, f"{path}: steps.{timed.index}"
-    commands = {signal.name: signal for signal in device.spec.commands}
+    commands = {signal.name: signal for signal in _commanded(device.spec)}
     if step.signal not in commands:
         raise ExperimentFileError(f"{place}.signal: {UnknownNameError('command', step.signal, commands)}")
     names = device.spec.stream.names()
@@ -135,10 +138,23 @@ def _step_plan(path: Path, timed: TimedStep, device: DevicePlan) -> StepPlan:
     before = np.vstack([_safe_values(device.spec, command, values), values[:-1]])
     lowest, highest = float(values.min()), float(values.max())
     fastest = float(np.max(np.abs(values - before))) * rate
-    limit = device.rig.limits.get(step.signal)
+    limit = device.rig.limits.get(step.signal) or device.rig.limits.get(_vector_of(step.signal))
     reach = (lowest, highest, fastest)
     warnings = () if limit is None else _against(place, step.signal, command.unit, reach, limit)
     return StepPlan(timed, command.unit, *reach, spectrum_of(values, rate), warnings)
+
+
+def _commanded(spec: DriverSpec) -> Iterator[Signal]:
+    """What a step can drive: the commands, and each column of one that is a vector."""
+    for signal in spec.commands:
+        yield signal
+        if signal.width > 1:
+            for column in signal.columns():
+                yield replace(signal, name=column, width=1)
+
+
+def _vector_of(column: str) -> str:
+    return column.rpartition("_")[0]
 
 
 def _values(place: str, timed: TimedStep, command: Signal, rate: float) -> FloatArray:

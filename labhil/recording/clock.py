@@ -51,12 +51,29 @@ class ClockFit:
     drift_error: float | None = None
 
 
-def fit_clock(t_hw_ns: IntArray, t_acq_ns: IntArray, origin_ns: int, speed: float = 1.0) -> ClockFit:
+STEADY = 1e-3
+"""How near to its declared rate a clock has to be to be believed against the host's."""
+
+
+def keeps_its_rate(t_hw_ns: IntArray, seq: IntArray, rate: float) -> bool:
+    """Tell whether nearly all samples are as far apart by the device's clock as ``rate`` (Hz) says.
+
+    A simulated device on a machine that has no time for it falls behind the host's clock by any amount,
+    but its own clock is the one that its world lives by.
+    """
+    steps = np.diff(t_hw_ns) * 1e-9 * rate
+    numbers = np.diff(seq)
+    return len(steps) > 0 and bool(np.mean(np.abs(steps - numbers) <= STEADY * numbers) > 0.99)
+
+
+def fit_clock(
+    t_hw_ns: IntArray, t_acq_ns: IntArray, origin_ns: int, speed: float = 1.0, steady: bool = False
+) -> ClockFit:
     """Map the stamps of a device's clock onto the host's.
 
     ``speed`` is how many seconds of the device's world pass in one second of the host: host times are
-    multiplied by it. Where the device's clock does not advance with every sample, the host's stamps
-    are used as they are.
+    multiplied by it. Where the device's clock does not advance with every sample, or runs at quite
+    another rate without being ``steady``, the host's stamps are used as they are.
     """
     host: FloatArray = np.asarray((t_acq_ns - origin_ns) * (1e-9 * speed), dtype=np.float64)
     if len(host) < 3 or not (np.diff(t_hw_ns) > 0).all():
@@ -76,6 +93,8 @@ def fit_clock(t_hw_ns: IntArray, t_acq_ns: IntArray, origin_ns: int, speed: floa
         if np.array_equal(kept, good):
             break
         good = kept
+    if abs(slope) > LARGEST_DRIFT and steady:
+        return ClockFit(device + float(np.median(delay)), 0.0, 0.0, 0, device_clock=True)
     if abs(slope) > LARGEST_DRIFT:
         return ClockFit(host, 0.0, 0.0, 0, device_clock=False)
     outliers = int(np.count_nonzero(~good))

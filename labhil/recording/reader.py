@@ -14,7 +14,7 @@ import numpy as np
 from labhil.codec import Codec, stream_from_json
 from labhil.errors import ProtocolError, RecordingError, RigFileError, suggestion
 from labhil.recording.chunks import Contents, Messages, is_mcap, scan
-from labhil.recording.clock import ClockFit, fit_clock
+from labhil.recording.clock import ClockFit, fit_clock, keeps_its_rate
 from labhil.recording.device_clocks import (
     ClockOffset,
     DeviceClock,
@@ -255,7 +255,16 @@ def holes(seq: IntArray) -> int:
 
 def _timed(streams: list[StreamData], origin_ns: int) -> tuple[StreamData, ...]:
     """Give all streams one time, which is 0 at the first sample of them all."""
-    clocks = [fit_clock(data.t_hw_ns, data.t_acq_ns, origin_ns, data.speed) for data in streams]
+    clocks = [
+        fit_clock(
+            data.t_hw_ns,
+            data.t_acq_ns,
+            origin_ns,
+            data.speed,
+            steady=keeps_its_rate(data.t_hw_ns, data.seq, data.stream.rate),
+        )
+        for data in streams
+    ]
     pairs = list(zip(streams, clocks, strict=True))
     start = min((float(clock.t[0]) / data.speed for data, clock in pairs if len(data)), default=0.0)
     return tuple(replace(data, t=clock.t - start * data.speed, clock=clock) for data, clock in pairs)

@@ -193,7 +193,7 @@ class DeviceControl:
     def _take_in(self, batch: Batch) -> None:
         self._output.clock = Clock(int(batch.t_hw_ns[-1]), int(batch.t_acq_ns[-1]))
         self._states.put(batch)
-        self._violation = self._sample_limits.violation(batch)
+        self._violation = self._sample_limits.violation(batch) or self._output.trouble()
         tripped = self._interlocks.take_in(batch)
         if self._violation is not None and self.state in (HostState.IDLE, HostState.ACTIVE):
             self._to_safety(HostState.TRIPPED, self._violation)
@@ -302,7 +302,7 @@ class DeviceControl:
         if self.state is HostState.RECONNECTING:
             return f"the device is not connected: {self._reason}"
         if self._violation is not None:
-            return f"the device is outside its limits: {self._violation}"
+            return f"the device cannot be commanded: {self._violation}"
         return self._interlocks.standing()
 
     def _make_safe(self, payload: dict[str, Any], _now: float) -> dict[str, Any]:
@@ -354,7 +354,7 @@ class DeviceControl:
             self._output.begin(now)
             self._become(HostState.ACTIVE, f"commanded by {self._lease.holder!r}")
         self._output.take(setpoint.values)
-        self._commands.put(self._output.send(now))
+        self._commands.put(self._output.send(now, setpoint.t_hw_ns))
 
     def _keep_watch(self, now: float, turn: float) -> None:
         if self.state is not HostState.ACTIVE:

@@ -18,7 +18,10 @@ NO_LIMIT = Limit()
 
 
 class CommandLimits:
-    """Keeps commands within their limits; a signal without limits passes as it is, if it is finite."""
+    """Keeps commands within their limits; a signal without limits passes as it is, if it is finite.
+
+    A vector's columns have the vector's limits, or their own where the rig file gives them.
+    """
 
     def __init__(self, commands: tuple[Signal, ...], limits: Mapping[str, Limit]) -> None:
         self._limits = {
@@ -67,10 +70,15 @@ class SampleLimits:
         self._high = np.full(stream.width, np.inf)
         self._checked = np.zeros(stream.width, dtype=np.bool_)
         commanded = {signal.name for signal in commands}
-        for name in stream.names():
-            limit = limits.get(name)
+        for signal in stream.signals:
+            limit = limits.get(signal.name)
+            place = stream.columns_of(signal.name)
             if limit is not None:
-                self._add(stream.columns_of(name), limit, name in commanded)
+                self._add(place, limit, signal.name in commanded)
+            for number, column in enumerate(signal.columns() if signal.width > 1 else ()):
+                if column in limits:
+                    one = slice(place.start + number, place.start + number + 1)
+                    self._add(one, limits[column], signal.name in commanded)
 
     def _add(self, columns: slice, limit: Limit, commanded: bool) -> None:
         span = limit.max - limit.min

@@ -89,15 +89,20 @@ class HostConfig:
 
 @dataclass(frozen=True, slots=True)
 class Setpoint:
-    """Values for some of a device's commands, from the holder of ``token``, sent at Unix time ``t_ns``."""
+    """Values for some of a device's commands, from the holder of ``token``, sent at Unix time ``t_ns``.
+
+    ``t_hw_ns`` is the time of the device's clock that they belong to, where they are part of a path.
+    """
 
     token: str
     t_ns: int
     values: Mapping[str, float]
+    t_hw_ns: int | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Return the setpoint as plain data: what the command ``set`` takes."""
-        return {"token": self.token, "t_ns": self.t_ns, "values": dict(self.values)}
+        data = {"token": self.token, "t_ns": self.t_ns, "values": dict(self.values)}
+        return data if self.t_hw_ns is None else {**data, "t_hw_ns": self.t_hw_ns}
 
     def to_bytes(self) -> bytes:
         """Return the setpoint as it is streamed."""
@@ -108,7 +113,10 @@ class Setpoint:
         """Read plain data; CommandRefusedError when something is missing or is not what it should be."""
         try:
             values = {str(name): float(value) for name, value in data["values"].items()}
-            return cls(str(data["token"]), int(data["t_ns"]), values)
+            t_hw_ns = data.get("t_hw_ns")
+            return cls(
+                str(data["token"]), int(data["t_ns"]), values, None if t_hw_ns is None else int(t_hw_ns)
+            )
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise CommandRefusedError(
                 f'a setpoint is {{"token", "t_ns", "values": {{name: number}}}}; {error!r} in {data!r}'

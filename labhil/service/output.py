@@ -7,7 +7,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from labhil.driver import Driver
+from labhil.driver import Driver, TimedDriver
 from labhil.rig import Limit
 from labhil.service.declared import safe_values
 from labhil.service.limits import CommandLimits
@@ -34,6 +34,8 @@ class Output:
 
     def __init__(self, driver: Driver, limits: Mapping[str, Limit], speed: float) -> None:
         self._driver, self._speed = driver, speed
+        self._timed = driver if isinstance(driver, TimedDriver) else None
+        self._sent_for_ns: int | None = None
         self._safe = safe_values(driver.spec)
         self._sample_period = 1 / (driver.spec.stream.rate * speed)
         self.limits = CommandLimits(driver.spec.commands, limits)
@@ -52,16 +54,35 @@ class Output:
         self.requested.update(values)
         self.unheard = 0.0
 
-    def send(self, now: float) -> Batch:
-        """Send what is asked for as far as the limits allow, and return the row that says both."""
-        elapsed = (now - self.sent_at) * self._speed
+    def send(self, now: float, t_hw_ns: int | None = None) -> Batch:
+        """Send what is asked for as far as the limits allow, and return the row that says both.
+
+        ``t_hw_ns`` is the time of the device's clock that it belongs to, where it is part of a path.
+        """
+        elapsed = self._elapsed(now, t_hw_ns)
         self.applied = {
             name: self.limits.clipped(name, value, self.applied.get(name), elapsed)
             for name, value in self.requested.items()
         }
         self.sent_at = now
-        self._driver.command(self.applied)
+        if self._timed is not None and t_hw_ns is not None:
+            self._sent_for_ns = t_hw_ns
+            self._timed.command_at(self.applied, t_hw_ns)
+        else:
+            self._driver.command(self.applied)
         return self._row()
+
+    def _elapsed(self, now: float, t_hw_ns: int | None) -> float:
+        """How long what was sent before has had its effect, s of the device's clock."""
+        if self._timed is None:
+            return (now - self.sent_at) * self._speed
+        if t_hw_ns is None or self._sent_for_ns is None:
+            return math.inf  # the driver takes its own time to get there
+        return (t_hw_ns - self._sent_for_ns) * 1e-9
+
+    def trouble(self) -> str | None:
+        """Return what keeps the device from being commanded, where its driver says so."""
+        return (self._timed.trouble() or None) if self._timed is not None else None
 
     def _row(self) -> Batch:
         t_ns = time.time_ns()
@@ -78,4 +99,5 @@ class Output:
     def make_safe(self) -> None:
         """Bring the device to its safe state; nothing is asked of it any more."""
         self._driver.safe()
+        self._sent_for_ns = None
         self.requested, self.applied = dict(self._safe), dict(self._safe)

@@ -1,0 +1,372 @@
+"""A UR arm on the network: what it reports at every cycle of its controller, and what it is asked to do."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import select
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from operator import itemgetter
+from types import TracebackType
+from typing import ClassVar, Self
+
+from labhil.driver import Counters, DeviceInfo, DriverSpec
+from labhil.errors import CommandRefusedError, ConnectError, DeviceError, DeviceResetError, ProtocolError
+from labhil.signals import Batch, Stream
+from labhil_ur5.client import COMMAND_TIMEOUT, DIGITAL_OUTPUTS
+from labhil_ur5.dashboard import Dashboard
+from labhil_ur5.declared import CLIENT, OUTPUTS, REPORTED, SPEED, TARGET, TARGET_COLUMNS, TIMESTAMP
+from labhil_ur5.motion import Motion, MotionState
+from labhil_ur5.rtde import Receiver, Recipe
+from labhil_ur5.trouble import SAFETY_NORMAL, said_of
+
+E_SERIES_RATE, CB3_RATE = 500.0, 125.0
+WAYPOINT_RATE = 100.0
+"""How often the arm is told where to be, Hz; in between the client process interpolates."""
+LARGEST_ANGLE = math.radians(363.0)
+"""How far a joint turns, rad."""
+THERE = 1e-3
+"""How near the arm must be to where a path begins, rad."""
+PATIENCE = 0.05
+"""How long (s) ``close`` from another thread waits for ``read`` to notice."""
+FIRST_SAMPLE = 2.0
+RESTART_AFTER = 1.0
+"""How long after the loss of the client process another one is started, s."""
+
+STATES = tuple(MotionState)
+
+Row = tuple[int, int, int, Sequence[float]]
+
+
+def _spec(name: str, rate: float, series: str) -> DriverSpec:
+    return DriverSpec(
+        name=name,
+        rig="ur5",
+        description=f"UR5 on RTDE, {series}: joint angles in, joint states and currents out, {rate:g} Hz",
+        stream=Stream("state", (*(item.signal for item in REPORTED), CLIENT), rate),
+        commands=(TARGET, SPEED, OUTPUTS),
+        safe={},
+        command_timeout=COMMAND_TIMEOUT,
+        address_help="the controller's IP address or host name",
+        waypoint_rate=WAYPOINT_RATE,
+        approach={TARGET.name: THERE},
+        ready={CLIENT.name: float(STATES.index(MotionState.IDLE))},
+    )
+
+
+class Ur5Driver:
+    """A UR arm of the e-Series; satisfies :class:`labhil.driver.TimedDriver`.
+
+    Connecting only listens. The first command takes the arm's program over, in a client process of its
+    own that may die and is replaced; samples do not pass through it. Safe is: stop and hold.
+    """
+
+    spec: ClassVar[DriverSpec] = _spec("ur5", E_SERIES_RATE, "e-Series")
+    majors: ClassVar[tuple[int, ...]] = (5, 10)
+
+    def __init__(self, address: str) -> None:
+        self.address = address
+        self.counters = Counters()
+        self._receiver: Receiver | None = None
+        self._motion = Motion(address, self.spec.stream.rate)
+        self._closing = False
+        # reentrant: a signal handler may close the driver in the middle of a read
+        self._reading = threading.RLock()
+        self._lost_because = ""
+        self._lost_at = 0.0
+        self._timed = False
+
+    def connect(self) -> DeviceInfo:
+        """Listen to the controller; ConnectError when it is not there, ProtocolError when it is no UR."""
+        self.close()
+        with self._reading:
+            self._latest: dict[str, float] = {}
+            self._target: list[float] = []
+            self._switched: dict[str, float] = {}
+            self._seq, self._clock_ns, self._acquired_ns = 0, -1, 0
+            self._lost_because = ""
+            self.counters = Counters()
+            self._closing = False
+            self._listen()
+            try:
+                return self._introduced()
+            except BaseException:
+                self.close()
+                raise
+
+    def _listen(self) -> None:
+        receiver = Receiver(self.address)
+        try:
+            self._check_version(*receiver.greet())
+            needed, optional = _variables()
+            recipe = receiver.start(needed, optional, self.spec.stream.rate)
+        except BaseException:
+            receiver.close()
+            raise
+        self._take_values = _in_order(recipe)
+        self._recipe, self._receiver = recipe, receiver
+
+    def _check_version(self, major: int, *_rest: int) -> None:
+        if major not in self.majors:
+            raise ProtocolError(
+                f"{self.address}: expected a controller of software {' or '.join(map(str, self.majors))},"
+                f" found {major}: use the plugin {'ur5_cb3' if major == 3 else 'ur5'!r}"
+            )
+
+    def _introduced(self) -> DeviceInfo:
+        assert self._receiver is not None
+        first = self.read(FIRST_SAMPLE)
+        if not len(first):
+            raise ConnectError(f"{self.address}: the controller sends no samples")
+        self._early = first
+        booted_at = (first.t_acq_ns[-1] - first.t_hw_ns[-1]) * 1e-9
+        return DeviceInfo(
+            firmware=".".join(map(str, self._receiver.version)),
+            serial=_serial(self.address),
+            boot_id=int(booted_at),
+        )
+
+    def read(self, timeout: float) -> Batch:
+        """Return the samples that have come in, waiting up to ``timeout`` s for the first.
+
+        An empty batch means that nothing came. Raises DeviceResetError when the controller's clock went
+        back, ConnectError when the wire is gone (after one attempt to make it again) or the driver closed.
+        """
+        deadline = time.monotonic() + timeout
+        rows: list[Row] = []
+        with self._reading:
+            while not rows:
+                if self._receiver is None or self._closing:
+                    raise ConnectError(f"{self.address}: not connected")
+                left = max(deadline - time.monotonic(), 0.0)
+                waiting = [self._receiver.fileno(), *self._motion.descriptors()]
+                select.select(waiting, [], [], min(left, PATIENCE))
+                self._look_after_client()
+                rows = self._rows(self._payloads())
+                if left <= 0.0:
+                    break
+        return Batch.of(rows, self.spec.stream.width)
+
+    def _payloads(self) -> list[bytes]:
+        assert self._receiver is not None
+        try:
+            return self._receiver.packages()
+        except ConnectError:
+            # a connection that breaks while the controller lives leaves a hole and nothing more
+            self._receiver.close()
+            self._listen()
+            self.counters.resyncs += 1
+            return []
+
+    def _rows(self, payloads: Iterable[bytes]) -> list[Row]:
+        rows: list[Row] = []
+        for payload in payloads:
+            values = self._recipe.unpack(payload)
+            t_hw_ns = round(values[self._recipe.slices[TIMESTAMP].start] * 1e9)
+            if self._is_new(t_hw_ns):
+                row = self._take_values(values)
+                row.append(STATES.index(self._motion.state))
+                rows.append((self._seq, 0, t_hw_ns, row))
+        if rows:
+            self._latest = dict(zip(self.spec.stream.columns(), rows[-1][3], strict=True))
+        return self._stamped(rows)
+
+    def _stamped(self, rows: list[Row]) -> list[Row]:
+        """Give samples that were waiting together the times at which they must have come in."""
+        now = time.time_ns()
+        stamped = []
+        for seq, _, t_hw_ns, values in rows:
+            self._acquired_ns = max(self._acquired_ns, now - (rows[-1][2] - t_hw_ns))
+            stamped.append((seq, self._acquired_ns, t_hw_ns, values))
+        return stamped
+
+    def _is_new(self, t_hw_ns: int) -> bool:
+        """Number a sample by the controller's clock; False for one that has been seen already."""
+        before, self._clock_ns = self._clock_ns, t_hw_ns
+        self.counters.frames += 1
+        if before < 0:
+            return True
+        if t_hw_ns < before:
+            self.counters.resets += 1
+            raise DeviceResetError(
+                f"{self.address}: the controller started again in the middle of the run: its clock went"
+                f" from {before * 1e-9:.3f} to {t_hw_ns * 1e-9:.3f} s"
+            )
+        if t_hw_ns == before:
+            self.counters.stale += 1
+            return False
+        cycles = max(1, round((t_hw_ns - before) * 1e-9 * self.spec.stream.rate))
+        self.counters.lost += cycles - 1
+        self._seq += cycles
+        return True
+
+    def trouble(self) -> str:
+        """Return why the arm cannot be commanded as it is, in words; empty when it can."""
+        if self._lost_because:
+            return f"the arm's client was lost ({self._lost_because}); it is started again"
+        return said_of(self._latest, commanded=self._motion.state is not MotionState.NONE)
+
+    def command(self, values: Mapping[str, float]) -> None:
+        """Go to joint angles by moveJ, set the speed slider or the digital outputs; empty: a sign of life.
+
+        ``target_q_0`` … ``target_q_5`` in rad, those left out stay; ``target_speed_fraction`` 0 to 1;
+        ``standard_digital_outputs`` 0 to 255. CommandRefusedError for anything else.
+        """
+        self._command(values, None)
+
+    def command_at(self, values: Mapping[str, float], t_hw_ns: int) -> None:
+        """As ``command``, but the angles are a waypoint of a path: where to be at a time of the device.
+
+        A path begins where the arm is (within ``THERE``) and at rest.
+        """
+        self._command(values, t_hw_ns)
+
+    def _command(self, values: Mapping[str, float], t_hw_ns: int | None) -> None:
+        _refuse_unusable(values)
+        if self._receiver is None:
+            raise ConnectError(f"{self.address}: not connected")
+        self._switch({name: values[name] for name in (SPEED.name, OUTPUTS.name) if name in values})
+        if self._motion.refusal:
+            refusal, self._motion.refusal = self._motion.refusal, ""
+            raise CommandRefusedError(f"{self.address}: {refusal}")
+        if not self._target:
+            self._target = self._joints()
+        for joint, column in enumerate(TARGET_COLUMNS):
+            self._target[joint] = values.get(column, self._target[joint])
+        if any(column in values for column in TARGET_COLUMNS) or self._timed:
+            self._steer(self._target, t_hw_ns)
+        else:
+            self._motion.tell({"alive": True})
+
+    def _steer(self, q: Sequence[float], t_hw_ns: int | None) -> None:
+        motion, here = self._motion, self._joints()
+        self._timed = t_hw_ns is not None
+        near = max(abs(a - b) for a, b in zip(q, here, strict=True)) <= THERE
+        if motion.state is MotionState.NONE:
+            if not self.trouble():
+                motion.start()
+        elif motion.state is MotionState.IDLE and not near:
+            if t_hw_ns is not None:
+                raise CommandRefusedError(f"{self.address}: the arm does not stand where its path begins")
+            motion.move(q)
+        elif t_hw_ns is not None and motion.state in (MotionState.IDLE, MotionState.SERVO):
+            motion.waypoint(t_hw_ns * 1e-9, q, here)
+        else:
+            motion.tell({"alive": True})
+
+    def _switch(self, wanted: Mapping[str, float]) -> None:
+        changed = {name: value for name, value in wanted.items() if self._switched.get(name) != value}
+        if not changed:
+            return
+        if self._motion.state is MotionState.NONE:
+            self._motion.start()
+        if self._motion.state is MotionState.STARTING:
+            return  # the host says it again
+        if SPEED.name in changed:
+            self._motion.tell({"slider": changed[SPEED.name]})
+        if OUTPUTS.name in changed:
+            self._motion.tell({"outputs": int(changed[OUTPUTS.name])})
+        self._switched.update(changed)
+
+    def _joints(self) -> list[float]:
+        return [self._latest[column] for column in TARGET_COLUMNS]
+
+    def _look_after_client(self) -> None:
+        why = self._motion.look()
+        now = time.monotonic()
+        if why:
+            self._lost_because, self._lost_at = why, now
+            self._switched.clear()
+            self.counters.resets += 1
+        if not self._lost_because:
+            return
+        if self._motion.state is MotionState.NONE and now - self._lost_at > RESTART_AFTER:
+            if self._latest.get("safety_mode") in SAFETY_NORMAL:
+                self._motion.start()
+                self._lost_at = now
+        elif self._motion.state is MotionState.IDLE:
+            self._lost_because = ""
+
+    def safe(self) -> None:
+        """Stop on the path, and hold; never raises."""
+        self._timed = False
+        self._target = []
+        with contextlib.suppress(OSError):
+            self._motion.stop()
+
+    def close(self) -> None:
+        """Stop the arm, end its program and let go of the wire. Safe to call twice."""
+        self._closing = True
+        with self._reading:
+            self._motion.end()
+            if self._receiver is not None:
+                self._receiver.close()
+            self._receiver = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.safe()
+        self.close()
+
+
+class Ur5Cb3Driver(Ur5Driver):
+    """An arm of the CB series, 125 Hz; else the same."""
+
+    spec: ClassVar[DriverSpec] = _spec("ur5_cb3", CB3_RATE, "CB3")
+    majors: ClassVar[tuple[int, ...]] = (3,)
+
+
+def _variables() -> tuple[list[str], list[str]]:
+    needed = [TIMESTAMP, *(item.variable for item in REPORTED if not item.optional)]
+    return needed, [item.variable for item in REPORTED if item.optional]
+
+
+def _in_order(recipe: Recipe) -> Callable[[tuple[float, ...]], list[float]]:
+    """Return what brings the numbers of a package into the order of the stream."""
+    places: list[int] = []
+    absent = sum(part.stop - part.start for part in recipe.slices.values())
+    masks: list[tuple[int, int]] = []
+    for item in REPORTED:
+        part = recipe.slices.get(item.variable)
+        if item.kept:
+            masks.append((len(places), item.kept))
+        places += [absent] * item.signal.width if part is None else range(part.start, part.stop)
+    pick = itemgetter(*places)
+
+    def take(values: tuple[float, ...]) -> list[float]:
+        row = list(pick((*values, math.nan)))
+        for place, mask in masks:
+            if row[place] == row[place]:
+                row[place] = int(row[place]) & mask
+        return row
+
+    return take
+
+
+def _refuse_unusable(values: Mapping[str, float]) -> None:
+    ranges = dict.fromkeys(TARGET_COLUMNS, (-LARGEST_ANGLE, LARGEST_ANGLE))
+    ranges |= {SPEED.name: (0.0, 1.0), OUTPUTS.name: (0.0, 2.0**DIGITAL_OUTPUTS - 1)}
+    for name, value in values.items():
+        if name not in ranges:
+            raise CommandRefusedError(f"expected one of the commands {', '.join(ranges)}, found {name!r}")
+        low, high = ranges[name]
+        if not low <= value <= high:
+            raise CommandRefusedError(f"{name}: expected {low:g} … {high:g}, found {value:g}")
+    if not float(values.get(OUTPUTS.name, 0.0)).is_integer():
+        raise CommandRefusedError(f"{OUTPUTS.name}: expected a whole number, found {values[OUTPUTS.name]:g}")
+
+
+def _serial(host: str) -> str:
+    """Ask the dashboard who this is; controllers that do not tell are unknown."""
+    try:
+        with Dashboard(host) as dashboard:
+            said = dashboard.ask("get serial number")
+    except DeviceError:
+        return "unknown"
+    return said if said.isdigit() else "unknown"

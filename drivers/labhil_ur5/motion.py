@@ -1,0 +1,191 @@
+"""The driver's side of the client process: it is started, told what to do, watched, and replaced."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from enum import StrEnum
+from typing import Any
+
+from labhil_ur5.dashboard import stop_program
+
+SILENCE = 2.0
+"""How long the client may say nothing before it is taken for hung, s."""
+START_TIMEOUT = 15.0
+"""How long it may take to connect and to start its program on the controller, s."""
+END_TIMEOUT = 3.0
+
+
+class MotionState(StrEnum):
+    """What the client says it is doing, and what it cannot say itself."""
+
+    NONE = "none"
+    """There is no client."""
+    STARTING = "starting"
+    IDLE = "idle"
+    MOVING = "moving"
+    SERVO = "servo"
+    STOPPING = "stopping"
+
+
+class Motion:
+    """The client process of one controller; nothing here waits but :meth:`end`."""
+
+    def __init__(self, host: str, rate: float) -> None:
+        self._command = [sys.executable, "-P", "-m", "labhil_ur5.client", host, repr(rate)]
+        self._host = host
+        self._process: subprocess.Popen[bytes] | None = None
+        self._writing = threading.RLock()
+        self._heard_at = 0.0
+        self._rest = b""
+        self.state = MotionState.NONE
+        self.refusal = ""
+        self.starts = 0
+
+    def start(self) -> None:
+        """Start the process; :attr:`state` is IDLE once it may be told to move."""
+        with self._writing:
+            self._discard()
+            self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed in `_discard`
+            self._process = subprocess.Popen(
+                self._command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=self._errors,
+                bufsize=0,
+                start_new_session=True,
+                env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
+            )
+            for pipe in (self._process.stdin, self._process.stdout):
+                assert pipe is not None
+                os.set_blocking(pipe.fileno(), False)
+            self._rest, self.refusal = b"", ""
+            self._heard_at = time.monotonic()
+            self.state = MotionState.STARTING
+            self.starts += 1
+
+    @property
+    def pid(self) -> int | None:
+        """The process id, None when there is no client."""
+        return None if self._process is None else self._process.pid
+
+    def descriptors(self) -> list[int]:
+        """What to wait on for news of the client."""
+        process = self._process
+        return [] if process is None or process.stdout is None else [process.stdout.fileno()]
+
+    def look(self) -> str:
+        """Take in what the client said; returns why it is gone, or an empty string while all is well."""
+        with self._writing:
+            if self._process is None:
+                return ""
+            fault, closed = self._read(self._process)
+            if closed:
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    self._process.wait(0.5)
+                return self._lost(fault or f"the client process died{self._how()}")
+            silence = START_TIMEOUT if self.state is MotionState.STARTING else SILENCE
+            if time.monotonic() - self._heard_at > silence:
+                return self._lost(f"the client process said nothing for {silence:g} s{self._complaint()}")
+            return ""
+
+    def tell(self, order: Mapping[str, Any]) -> None:
+        """Send an order; a client that takes none is found out by :meth:`look`."""
+        with self._writing:
+            if self._process is None or self._process.stdin is None:
+                return
+            with contextlib.suppress(OSError, ValueError):
+                self._process.stdin.write(json.dumps(order).encode() + b"\n")
+
+    def move(self, q: Sequence[float]) -> None:
+        """Go to ``q`` (rad) by moveJ."""
+        self.tell({"move": list(q)})
+
+    def waypoint(self, t: float, q: Sequence[float], begin: Sequence[float]) -> None:
+        """Be at ``q`` at time ``t`` (s) of the controller's clock; the first begins a path at ``begin``."""
+        self.tell({"t": t, "q": list(q), "from": list(begin)})
+
+    def stop(self) -> None:
+        """Come to rest and stay; by the dashboard where the client is no more. Never raises."""
+        with self._writing:
+            if self._process is not None and self._process.poll() is None:
+                self.tell({"stop": True})
+            elif self._process is not None:
+                stop_program(self._host)
+
+    def end(self) -> None:
+        """Stop the arm, end the controller's program and the client; safe to call twice."""
+        with self._writing:
+            process = self._process
+            if process is None:
+                return
+            assert process.stdin is not None
+            with contextlib.suppress(OSError):
+                process.stdin.close()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(END_TIMEOUT)
+            if process.poll() != 0:
+                process.kill()
+                process.wait()
+                stop_program(self._host)
+            self._discard()
+
+    def _read(self, process: subprocess.Popen[bytes]) -> tuple[str, bool]:
+        assert process.stdout is not None
+        fault = ""
+        while True:
+            try:
+                data = os.read(process.stdout.fileno(), 1 << 16)
+            except BlockingIOError:
+                return fault, False
+            if not data:
+                return fault, True
+            self._heard_at = time.monotonic()
+            *lines, self._rest = (self._rest + data).split(b"\n")
+            for line in lines:
+                fault = self._take(line) or fault
+
+    def _take(self, line: bytes) -> str:
+        try:
+            said = json.loads(line)
+        except ValueError:
+            return ""
+        self.state = MotionState(said.get("state", self.state.value))
+        self.refusal = str(said.get("refused", self.refusal))
+        return str(said.get("fault", ""))
+
+    def _lost(self, why: str) -> str:
+        self._discard()
+        # whatever it commanded last is not to go on; the controller's watchdog has been at it as well
+        stop_program(self._host)
+        return why
+
+    def _discard(self) -> None:
+        process, self._process, self.state = self._process, None, MotionState.NONE
+        if process is None:
+            return
+        if process.poll() is None:
+            process.kill()
+            process.wait()
+        for pipe in (process.stdin, process.stdout):
+            if pipe is not None:
+                pipe.close()
+        self._errors.close()
+
+    def _how(self) -> str:
+        status = self._process.poll() if self._process is not None else None
+        how = (
+            "" if status is None else f" by signal {-status}" if status < 0 else f" with exit status {status}"
+        )
+        return how + self._complaint()
+
+    def _complaint(self) -> str:
+        written = os.pread(self._errors.fileno(), 1 << 20, 0).decode(errors="replace").strip()
+        return f": {written.splitlines()[-1]}" if written else ""

@@ -1,0 +1,210 @@
+"""The receiving side of RTDE, version 2: every sample the controller sends, in order, with its own clock.
+
+Facts: Universal Robots, "Real-Time Data Exchange (RTDE) Guide". Everything is big-endian; a package is
+its size (u16, header included), a letter, and a payload. Why not the client library's getters: they show
+the newest value of one variable at a time, so that samples are missed and rows mix two of them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import struct
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from labhil.errors import ConnectError, ProtocolError
+
+PORT = 30004
+PROTOCOL_VERSION = 2
+ANSWER_WITHIN = 3.0
+"""How long the controller may take for one answer, s."""
+CHUNK = 1 << 16
+HEADER = struct.Struct(">HB")
+
+ASK_PROTOCOL, ASK_VERSION, SETUP_OUTPUTS, START, DATA = b"VvOSU"
+
+FORMATS = {
+    "BOOL": "?",
+    "UINT8": "B",
+    "UINT32": "I",
+    "UINT64": "Q",
+    "INT32": "i",
+    "DOUBLE": "d",
+    "VECTOR3D": "3d",
+    "VECTOR6D": "6d",
+    "VECTOR6INT32": "6i",
+    "VECTOR6UINT32": "6I",
+}
+NOT_FOUND = "NOT_FOUND"
+
+
+class Packages:
+    """Cuts a stream of bytes into packages."""
+
+    def __init__(self, who: str) -> None:
+        self._who = who
+        self._rest = bytearray()
+
+    def feed(self, data: bytes) -> Iterator[tuple[int, bytes]]:
+        """Give (letter, payload) of every package that is whole now; ProtocolError for nonsense."""
+        rest = self._rest
+        rest += data
+        start = 0
+        try:
+            while len(rest) - start >= HEADER.size:
+                size, letter = HEADER.unpack_from(rest, start)
+                if size < HEADER.size:
+                    raise ProtocolError(
+                        f"{self._who}: expected RTDE packages, found one of {size} bytes: is this a UR?"
+                    )
+                if len(rest) - start < size:
+                    break
+                payload = bytes(rest[start + HEADER.size : start + size])
+                start += size
+                yield letter, payload
+        finally:
+            del rest[:start]
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """What the controller sends in one package: the variables that it knows, and how they are packed."""
+
+    number: int
+    layout: struct.Struct
+    slices: dict[str, slice]
+
+    def unpack(self, payload: bytes) -> tuple[float, ...]:
+        """Return the numbers of one package; ProtocolError when it is not of this recipe."""
+        if len(payload) != 1 + self.layout.size or payload[0] != self.number:
+            raise ProtocolError(
+                f"expected {1 + self.layout.size} bytes of recipe {self.number}, found {len(payload)} bytes"
+                f" of recipe {payload[0] if payload else 'none'}"
+            )
+        return self.layout.unpack_from(payload, 1)
+
+
+class Receiver:
+    """One connection that receives; :meth:`start` first, then :meth:`packages`."""
+
+    def __init__(self, host: str, timeout: float = ANSWER_WITHIN) -> None:
+        self.host = host
+        self._timeout = timeout
+        try:
+            self._socket = socket.create_connection((host, PORT), timeout)
+        except OSError as error:
+            raise ConnectError(
+                f"{host}: expected a UR controller's RTDE on port {PORT}, found: {error}; is the address"
+                " right, the arm's controller switched on, and RTDE enabled under Security → Services?"
+            ) from error
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._packages = Packages(host)
+        self._early: list[bytes] = []
+        self.version: tuple[int, int, int, int] = (0, 0, 0, 0)
+
+    def greet(self) -> tuple[int, int, int, int]:
+        """Agree on the protocol's version and return the controller's: major, minor, bugfix, build."""
+        (accepted,) = self._ask(ASK_PROTOCOL, struct.pack(">H", PROTOCOL_VERSION), ">B")
+        if accepted != 1:
+            raise ProtocolError(
+                f"{self.host}: the controller does not speak RTDE version {PROTOCOL_VERSION}: it needs"
+                " software 3.10 / 5.4 or newer"
+            )
+        major, minor, bugfix, build = self._ask(ASK_VERSION, b"", ">4I")
+        self.version = (major, minor, bugfix, build)
+        return self.version
+
+    def start(self, needed: Sequence[str], optional: Sequence[str], rate: float) -> Recipe:
+        """Ask for variables at ``rate`` Hz and let them come; those ``optional`` may be left out."""
+        names = [*needed, *optional]
+        number, types = self._set_up(names, rate)
+        known = [name for name, kind in zip(names, types, strict=True) if kind != NOT_FOUND]
+        missing = [name for name in needed if name not in known]
+        if missing:
+            raise ProtocolError(
+                f"{self.host}: the controller (software {'.'.join(map(str, self.version))}) does not know"
+                f" {', '.join(missing)}"
+            )
+        if len(known) < len(names):
+            number, types = self._set_up(known, rate)
+        (started,) = self._ask(START, b"", ">B")
+        if started != 1:
+            raise ProtocolError(f"{self.host}: the controller refused to send its data")
+        return _recipe(number, known, types)
+
+    def packages(self) -> list[bytes]:
+        """Return the payloads of all data packages that have come in; ConnectError when the wire is gone."""
+        early, self._early = self._early, []
+        come = self._packages.feed(self._receive())
+        return early + [payload for letter, payload in come if letter == DATA]
+
+    def fileno(self) -> int:
+        """The socket's descriptor, to wait on."""
+        return self._socket.fileno()
+
+    def close(self) -> None:
+        """Let go of the connection."""
+        with contextlib.suppress(OSError):
+            self._socket.close()
+
+    def _receive(self) -> bytes:
+        if not select.select([self._socket], [], [], 0)[0]:
+            return b""
+        try:
+            data = self._socket.recv(CHUNK)
+        except OSError as error:
+            raise ConnectError(f"{self.host}: the RTDE connection broke: {error}") from error
+        if not data:
+            raise ConnectError(f"{self.host}: the controller closed the RTDE connection")
+        return data
+
+    def _set_up(self, names: Sequence[str], rate: float) -> tuple[int, list[str]]:
+        payload = struct.pack(">d", rate) + ",".join(names).encode()
+        answer = self._answer(SETUP_OUTPUTS, payload)
+        types = answer[1:].decode("ascii", "replace").rstrip(",").split(",")
+        if len(types) != len(names) or not set(types) <= {*FORMATS, NOT_FOUND}:
+            raise ProtocolError(
+                f"{self.host}: expected types of {len(names)} variables, found {answer!r:.200}"
+            )
+        return answer[0], types
+
+    def _ask(self, letter: int, payload: bytes, layout: str) -> tuple[int, ...]:
+        answer = self._answer(letter, payload)
+        if len(answer) != struct.calcsize(layout):
+            raise ProtocolError(
+                f"{self.host}: expected an answer of {struct.calcsize(layout)} bytes to {chr(letter)!r},"
+                f" found {answer!r:.80}"
+            )
+        return struct.unpack(layout, answer)
+
+    def _answer(self, letter: int, payload: bytes) -> bytes:
+        deadline = time.monotonic() + self._timeout
+        try:
+            self._socket.sendall(HEADER.pack(HEADER.size + len(payload), letter) + payload)
+        except OSError as error:
+            raise ConnectError(f"{self.host}: the RTDE connection broke: {error}") from error
+        answer: bytes | None = None
+        while (left := deadline - time.monotonic()) > 0:
+            select.select([self._socket], [], [], left)
+            for kind, body in self._packages.feed(self._receive()):
+                if kind == letter and answer is None:
+                    answer = body
+                elif kind == DATA:
+                    self._early.append(body)
+            if answer is not None:
+                return answer
+        raise ConnectError(
+            f"{self.host}: no answer to {chr(letter)!r} within {self._timeout:g} s on port {PORT}"
+        )
+
+
+def _recipe(number: int, names: Sequence[str], types: Sequence[str]) -> Recipe:
+    slices, start = {}, 0
+    for name, kind in zip(names, types, strict=True):
+        count = len(struct.unpack(">" + FORMATS[kind], bytes(struct.calcsize(">" + FORMATS[kind]))))
+        slices[name] = slice(start, start + count)
+        start += count
+    return Recipe(number, struct.Struct(">" + "".join(FORMATS[kind] for kind in types)), slices)
