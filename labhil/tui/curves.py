@@ -1,0 +1,80 @@
+"""What the pictures of a result are made of: numbers small enough to keep beside its JSON.
+
+An entry ``CHANNEL/NAME`` per output channel: ``t`` (s), ``measured``, and ``before`` / ``after`` (simulated
+windows, NaN where a new window begins); ``missing/TERM`` for what a found term contributes, over
+``missing/TERM/x``. A fit has ``after`` alone.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from labhil.physics.terms import keyed
+from labhil.signals import FloatArray
+
+if TYPE_CHECKING:
+    from labhil.identify.score import Score
+    from labhil.physics.model import Record
+    from labhil.report.study import DiagnosisResult, FitResult
+
+MOST_POINTS = 20_000
+MOST_DOTS = 2_000
+
+
+def curves_of_fit(result: FitResult) -> dict[str, Any]:
+    """The curves of a fit, on the data that it is judged on."""
+    score = result.fit.test or result.fit.train
+    record = result.material.judge if result.fit.test is not None else result.material.learn
+    return _channels(record, {"after": score})
+
+
+def curves_of_diagnosis(result: DiagnosisResult) -> dict[str, Any]:
+    """The curves of a diagnosis: before and after on data that the search never saw, and what is missing."""
+    from labhil.diagnose import locate
+
+    diagnosis = result.diagnosis
+    curves = _channels(result.material.judge, {"before": diagnosis.before, "after": diagnosis.after})
+    for item in diagnosis.missing:
+        key = keyed(item.term, item.joint)
+        try:
+            share = locate.contribution(diagnosis.final_fit, key)
+        except KeyError:  # what has no name has a curve of its own
+            continue
+        regimes = share.regimes()
+        name = regimes[0].coordinate if regimes else next(iter(share.units))
+        x, y = np.asarray(share.coordinates[name]), np.asarray(share.values)
+        step = max(1, len(x) // MOST_DOTS)
+        curves[f"missing/{key}"] = y[::step]
+        curves[f"missing/{key}/x"] = x[::step]
+        curves[f"missing/{key}/axis"] = np.array(f"{name}, {share.units[name]}")
+    return curves
+
+
+def _channels(record: Record, scores: dict[str, Score]) -> dict[str, Any]:
+    curves: dict[str, Any] = {}
+    first = next(iter(scores.values()))
+    for j, channel in enumerate(first.channels):
+        name = keyed(channel.channel, channel.joint)
+        rows = first.rows
+        step = max(1, len(rows) // MOST_POINTS)
+        measured = record.outputs[rows, j]
+        curves[f"{name}/t"] = record.t[rows][::step]
+        curves[f"{name}/measured"] = measured[::step]
+        curves[f"{name}/unit"] = np.array(channel.unit)
+        for label, score in scores.items():
+            new = np.r_[True, np.diff(score.window) > 0]
+            curves[f"{name}/{label}"] = np.where(new, np.nan, measured + score.errors[:, j])[::step]
+    return curves
+
+
+def read_curves(result: Path) -> dict[str, FloatArray]:
+    """The curves beside a result's JSON; empty where there are none."""
+    path = result.with_suffix(".npz")
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            return {name: data[name] for name in data.files}
+    except (OSError, ValueError):
+        return {}
