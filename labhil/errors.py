@@ -19,7 +19,9 @@
     │       └── DeviceSilentError  the device stopped talking
     └── RunError                   exit 1: the run itself came to grief
         ├── LimitTrippedError      a sample left the limits of the rig file
+        ├── InterlockError         a sample tripped an interlock of the rig file
         ├── RunStoppedError        a person or a signal stopped the run
+        ├── EmergencyStopError     the emergency stop was pressed
         ├── BusError               the bus or a process of ours failed
         └── RecordingFailedError   the recording could not be written to its end
 
@@ -116,8 +118,16 @@ class LimitTrippedError(RunError):
     """A sample left the limits of the rig file."""
 
 
+class InterlockError(RunError):
+    """A sample tripped an interlock of the rig file."""
+
+
 class RunStoppedError(RunError):
     """A person or a signal stopped the run."""
+
+
+class EmergencyStopError(RunError):
+    """The emergency stop was pressed."""
 
 
 class BusError(RunError):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator, Mapping
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -12,6 +12,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from labhil.errors import RigFileError, suggestion
 from labhil.kinds import Known, RigKind, kind_named, kind_names
+
+Threshold = Annotated[float, Field(allow_inf_nan=False)] | None
 
 
 class _Section(BaseModel):
@@ -44,6 +46,47 @@ class Limit(_Section):
         if not self.min < self.max:
             raise ValueError(f"min ({self.min:g}) must be smaller than max ({self.max:g})")
         return self
+
+
+class Interlock(_Section):
+    """One of ``[interlocks]``: beyond a trip threshold the device goes to its safe state.
+
+    It stays there until the signal is back inside the resume thresholds (by default those of the trip),
+    and somebody takes the command anew: nothing moves again by itself. ``then`` says what a run does:
+    ``abort`` ends it, ``pause`` lets it wait for somebody to resume it. Thresholds in the signal's unit.
+    """
+
+    trip_above: Threshold = None
+    resume_below: Threshold = None
+    trip_below: Threshold = None
+    resume_above: Threshold = None
+    then: Literal["abort", "pause"] = "abort"
+
+    @model_validator(mode="after")
+    def _sensible(self) -> Interlock:
+        if self.trip_above is None and self.trip_below is None:
+            raise ValueError("give trip_above, trip_below or both: nothing would trip")
+        if self.resume_below is not None and (self.trip_above is None or self.resume_below > self.trip_above):
+            raise ValueError("resume_below needs a trip_above that is not smaller")
+        if self.resume_above is not None and (self.trip_below is None or self.resume_above < self.trip_below):
+            raise ValueError("resume_above needs a trip_below that is not larger")
+        if self.resume_low >= self.resume_high:
+            raise ValueError(
+                f"between {self.resume_low:g} and {self.resume_high:g} there is nothing to resume at"
+            )
+        return self
+
+    @property
+    def resume_high(self) -> float:
+        """The upper end of where the interlock is lifted."""
+        above = inf if self.trip_above is None else self.trip_above
+        return above if self.resume_below is None else self.resume_below
+
+    @property
+    def resume_low(self) -> float:
+        """The lower end of where the interlock is lifted."""
+        below = -inf if self.trip_below is None else self.trip_below
+        return below if self.resume_above is None else self.resume_above
 
 
 class Metric(_Section):
@@ -102,6 +145,7 @@ class RigFile(_Section):
     known: dict[str, float | list[float] | str] = {}
     nominal: dict[str, float] = {}
     limits: dict[str, Limit] = {}
+    interlocks: dict[str, Interlock] = {}
     metric: Metric = Metric()
     table: Table = Table()
     channels: dict[str, Channel] = {}
@@ -138,6 +182,7 @@ class RigFile(_Section):
         signals = {signal.name for signal in self.kind.signals()}
         _check_names("known", self.known, set(self.kind.known))
         _check_names("limits", self.limits, signals)
+        _check_names("interlocks", self.interlocks, signals)
         _check_names("channels", self.channels, signals | {"t"})
         for name, value in self.known.items():
             _check_known(name, value, self.kind.known[name])

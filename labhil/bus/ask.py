@@ -57,7 +57,8 @@ class Answering:
             payload = query.payload.to_bytes() if query.payload is not None else b"{}"
             answer = json.dumps(dict(self._handler(json.loads(payload))))
         except Exception as error:  # noqa: BLE001 - a handler that raises must not leave the caller waiting
-            query.reply_err(json.dumps({"error": type(error).__name__, "message": str(error)}))
+            told = {"error": type(error).__name__, "message": str(error), "key": self._key}
+            query.reply_err(json.dumps(told))
         else:
             query.reply(self._key, answer)
 
@@ -92,6 +93,29 @@ def ask(
     return answer
 
 
+def ask_all(
+    bus: Bus, key: str, payload: Mapping[str, Any] | None = None, timeout: float = 2.0
+) -> dict[str, dict[str, Any] | BusError | CommandRefusedError]:
+    """Ask everybody whose key matches ``key``, at once; each one's answer, or error, by its own key.
+
+    Who has not answered within ``timeout`` s, or is not known yet, is simply not there.
+    """
+    answers: dict[str, dict[str, Any] | BusError | CommandRefusedError] = {}
+    question = json.dumps(dict(payload or {}))
+    try:
+        replies = bus.session.get(key, payload=question, timeout=timeout, target=zenoh.QueryTarget.ALL)
+        for reply in replies:
+            if reply.ok is not None:
+                answers[str(reply.ok.key_expr)] = dict(json.loads(reply.ok.payload.to_bytes()))
+            elif reply.err is not None:
+                found = reply.err.payload.to_bytes()
+                answers[_key_in(found)] = _error(key, found, timeout)
+    except zenoh.ZError as failure:
+        raise BusError(f"{key}: could not be asked: {failure}") from failure
+    answers.pop("", None)
+    return answers
+
+
 def _ask_once(bus: Bus, key: str, question: str, timeout: float) -> dict[str, Any] | None:
     """Return the answer, or None when no peer that is known answers at ``key``."""
     try:
@@ -102,19 +126,27 @@ def _ask_once(bus: Bus, key: str, question: str, timeout: float) -> dict[str, An
             if reply.ok is not None:
                 return dict(json.loads(reply.ok.payload.to_bytes()))
             if reply.err is not None:
-                _raise(key, reply.err.payload.to_bytes(), timeout)
+                raise _error(key, reply.err.payload.to_bytes(), timeout)
     except zenoh.ZError as error:
         raise BusError(f"{key}: could not be asked: {error}") from error
     return None
 
 
-def _raise(key: str, payload: bytes, timeout: float) -> None:
+def _key_in(payload: bytes) -> str:
+    """Which key an error came from; empty when it does not say."""
+    try:
+        return str(json.loads(payload)["key"])
+    except (ValueError, KeyError, TypeError):
+        return ""
+
+
+def _error(key: str, payload: bytes, timeout: float) -> BusError | CommandRefusedError:
     try:
         found: dict[str, str] = json.loads(payload)
         kind, message = found["error"], found["message"]
     except (ValueError, KeyError, TypeError):
         text = payload.decode("utf-8", "replace")
-        raise BusError(f"{key}: no answer within {timeout:g} s ({text})") from None
+        return BusError(f"{key}: no answer within {timeout:g} s ({text})")
     if kind == CommandRefusedError.__name__:
-        raise CommandRefusedError(message)
-    raise BusError(f"{key}: {kind}: {message}")
+        return CommandRefusedError(message)
+    return BusError(f"{key}: {kind}: {message}")

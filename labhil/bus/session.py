@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import socket
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from types import TracebackType
@@ -58,9 +59,10 @@ class Bus:
         self.close()
 
 
-def open_bus(connect: str | None = None) -> Bus:
+def open_bus(connect: str | Sequence[str] | None = None) -> Bus:
     """Join the bus of the process that listens at ``connect``; without it, begin one.
 
+    Of several endpoints, those where nobody answers are left out in silence; of one, that is an error.
     Each process listens on a port of its own, drawn here, and learns of the others by gossip: the bus
     outlives the process that began it. BusError when nobody listens at ``connect``.
     """
@@ -79,7 +81,7 @@ def open_bus(connect: str | None = None) -> Bus:
     raise BusError(f"no free port found on 127.0.0.1 in {ATTEMPTS} attempts")
 
 
-def _config(endpoint: str, connect: str | None) -> zenoh.Config:
+def _config(endpoint: str, connect: str | Sequence[str] | None) -> zenoh.Config:
     # scouting/delay stays as it is: 0 loses the first samples
     settings: dict[str, object] = {
         "mode": "peer",
@@ -88,10 +90,13 @@ def _config(endpoint: str, connect: str | None) -> zenoh.Config:
         "scouting/gossip/enabled": True,
         "transport/link/tx/queue/congestion_control/block/wait_before_close": BLOCKED_LINK_CLOSES_AFTER_US,
     }
-    if connect is not None:
+    if isinstance(connect, str):
         settings["connect/endpoints"] = [connect]
         settings["connect/timeout_ms"] = CONNECT_TIMEOUT_MS
         settings["connect/exit_on_failure"] = True
+    elif connect is not None:
+        settings["connect/endpoints"] = list(connect)
+        settings["connect/exit_on_failure"] = False
     config = zenoh.Config()
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))

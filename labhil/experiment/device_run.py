@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 import threading
 import time
+from collections.abc import Mapping
 from contextlib import ExitStack
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import zenoh
 
@@ -16,16 +17,32 @@ from labhil.bus.keys import command_key, event_key, setpoint_key, stream_key
 from labhil.bus.session import Bus
 from labhil.bus.subscribe import Subscription, subscribe
 from labhil.codec import Codec
-from labhil.errors import LabhilError, LimitTrippedError, RunError, RunStoppedError
+from labhil.errors import (
+    EmergencyStopError,
+    InterlockError,
+    LabhilError,
+    LimitTrippedError,
+    RunError,
+    RunStoppedError,
+)
 from labhil.experiment.controller import Controller
 from labhil.experiment.plan import DevicePlan
 from labhil.service.hosts import ConnectedDevice
-from labhil.service.messages import HostState, Setpoint
+from labhil.service.messages import Setpoint
 
 PATIENCE = 10.0
 """How long the bus may take to find a host that has said that it is ready, s."""
 
 ASK_TIMEOUT = 2.0
+
+ALWAYS: Mapping[str, type[LabhilError]] = {"estop": EmergencyStopError}
+UNLESS_RESTING: Mapping[str, type[LabhilError]] = {"tripped": LimitTrippedError, "interlock": InterlockError}
+WHILE_RUNNING: Mapping[str, tuple[type[LabhilError], str]] = {
+    "watchdog": (RunError, ""),
+    "refused": (RunError, " (a setpoint was refused)"),
+    "safe": (RunStoppedError, " (somebody else stopped the device)"),
+}
+"""What a run ends with when a host says one of these."""
 
 
 class DeviceRun:
@@ -42,6 +59,10 @@ class DeviceRun:
         self.speed = device.speed
         self.elapsed = 0.0
         self.error: LabhilError | None = None
+        self.rests = ""
+        """Why the device cannot follow its steps for now, though nothing has failed; empty when it can."""
+        self.comes_back = False
+        """Whether it will say when it can again; else somebody has to resume the run."""
         self.heard_at = time.monotonic()
         self._bus, self._duration, self._changed = bus, duration, changed
         self._codec = Codec(device.stream)
@@ -99,6 +120,7 @@ class DeviceRun:
         self._controller.forget()
         self._since_ns = time.time_ns()
         self._started_at_ns = None  # however long the device has rested, its steps go on where they were
+        self.rests, self.comes_back = "", False
         self._resting = False
         self._running = True
 
@@ -131,20 +153,39 @@ class DeviceRun:
             event = json.loads(payload)
             if event["t_ns"] < self._since_ns:
                 continue  # from before the steps went on
-            error = self._error_of(event["kind"], f"{self.plan.name}: {event['message']}")
+            message = f"{self.plan.name}: {event['message']}"
+            if self._is_a_rest(event, message):
+                self._changed.set()
+                continue
+            error = self._error_of(event["kind"], message)
             if error is not None and self.error is None:
                 self.error = error
                 self._changed.set()
 
+    def _is_a_rest(self, event: dict[str, Any], message: str) -> bool:
+        """Note that the device was lost, came back, or that an interlock lets the run wait."""
+        kind = event["kind"]
+        if kind == "reconnected":
+            if self.comes_back:
+                self.rests = ""
+            return True
+        lost = kind in ("lost", "quiet") and self.plan.section.reconnect
+        if not lost and not (kind == "interlock" and event.get("then") == "pause"):
+            return False
+        if not self._running and not self._resting:
+            return False  # not started, or done
+        self._running, self._resting = False, True
+        self.rests, self.comes_back = message, lost
+        return True
+
     def _error_of(self, kind: str, message: str) -> LabhilError | None:
+        if kind in ALWAYS:
+            return ALWAYS[kind](message)
         if self._resting:
             return None  # the device is in its safe state, and whoever takes the lease is told what stands
-        if kind == HostState.TRIPPED.value:
-            return LimitTrippedError(message)
-        if not self._running:
-            return None
-        if kind == "watchdog":
-            return RunError(message)
-        if kind == "refused":
-            return RunError(f"{message} (a setpoint was refused)")
-        return RunStoppedError(f"{message} (somebody else stopped the device)") if kind == "safe" else None
+        if kind in UNLESS_RESTING:
+            return UNLESS_RESTING[kind](message)
+        if self._running and kind in WHILE_RUNNING:
+            error, note = WHILE_RUNNING[kind]
+            return error(f"{message}{note}")
+        return None

@@ -71,8 +71,16 @@ class Devices:
             trouble = run.failure()
             if trouble is not None:
                 raise trouble
-            if time.monotonic() - run.heard_at > SILENCE:
+            if not run.comes_back and time.monotonic() - run.heard_at > SILENCE:
                 raise BusError(f"{run.plan.name}: no samples on the bus for {SILENCE:g} s")
+
+    def rest(self) -> str:
+        """Why the run has to wait for one of its devices; empty when it does not."""
+        return next((run.rests for run in self.runs if run.rests), "")
+
+    def comes_back(self) -> bool:
+        """Whether every device that the run waits for will say itself when it is ready again."""
+        return all(run.comes_back for run in self.runs if run.rests)
 
     def make_safe(self, reason: str) -> LabhilError | None:
         """Bring all devices to their safe states at once; returns what went wrong first, if anything did."""

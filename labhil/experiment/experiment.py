@@ -66,11 +66,15 @@ class TwinSection(_Section):
 
 
 class DeviceSection(_Section):
-    """``[devices.NAME]``: a driver plugin, where its device is, and the rig file that goes with it."""
+    """``[devices.NAME]``: a driver plugin, where its device is, and the rig file that goes with it.
+
+    ``reconnect`` lets a run wait for a device that was lost or booted again, and go on when it is back.
+    """
 
     plugin: str
     address: Annotated[str, Field(min_length=1)]
     rig: str | None = None
+    reconnect: bool = False
     twin: TwinSection = TwinSection()
 
 

@@ -14,7 +14,7 @@ from labhil.experiment.excitation.function import columns_of, sampled
 from labhil.experiment.excitation.spectrum import Spectrum, spectrum_of
 from labhil.experiment.experiment import TWIN, DeviceSection, Experiment, TimedStep
 from labhil.plugins import load_driver, load_twin
-from labhil.rig import Limit, RigFile
+from labhil.rig import Interlock, Limit, RigFile
 from labhil.signals import FloatArray, Signal
 
 
@@ -68,6 +68,8 @@ class Plan:
             yield f"  {device.name}: {device.section.plugin} at {where}{faster}"
             for signal, limit in device.rig.limits.items():
                 yield f"    limit {signal}: {_limit_in_words(limit)}"
+            for signal, lock in device.rig.interlocks.items():
+                yield f"    interlock {signal}: {_interlock_in_words(lock)}"
             if not device.rig.limits:
                 yield "    no limits: the rig file has no [limits], so nothing is clipped and nothing trips"
         for step in self.steps:
@@ -98,6 +100,12 @@ def _device_plan(experiment: Experiment, name: str, schedule: tuple[TimedStep, .
     except UnknownNameError as error:
         raise ExperimentFileError(f"{experiment.path}: devices.{name}: {error}") from error
     rig = experiment.rig_of(name, spec.rig)
+    for signal in rig.interlocks:
+        if signal not in spec.stream.names():
+            unknown = UnknownNameError("signal", signal, spec.stream.names())
+            raise ExperimentFileError(
+                f"{rig.path}: interlocks.{signal}: {section.plugin} has no such {unknown}"
+            )
     return DevicePlan(name, section, spec, rig, tuple(t for t in schedule if t.step.device == name))
 
 
@@ -181,6 +189,15 @@ def _against(
 def _limit_in_words(limit: Limit) -> str:
     rate = f", {limit.rate:g} per second" if limit.rate != float("inf") else ""
     return f"{limit.min:g} to {limit.max:g}{rate}"
+
+
+def _interlock_in_words(lock: Interlock) -> str:
+    parts = []
+    if lock.trip_above is not None:
+        parts.append(f"trips above {lock.trip_above:g} until below {lock.resume_high:g}")
+    if lock.trip_below is not None:
+        parts.append(f"trips below {lock.trip_below:g} until above {lock.resume_low:g}")
+    return f"{', '.join(parts)}; then {lock.then}"
 
 
 def _step_in_words(step: StepPlan) -> str:

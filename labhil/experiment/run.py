@@ -8,14 +8,16 @@ the simulated devices are stopped.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+from labhil.bus.latch import read_latch
 from labhil.bus.publish import publish_event
+from labhil.bus.register import registered
 from labhil.bus.session import Bus, open_bus
-from labhil.errors import CommandRefusedError, LabhilError, RunStoppedError, UsageError
+from labhil.errors import CommandRefusedError, EmergencyStopError, LabhilError, RunStoppedError, UsageError
 from labhil.experiment.control import RunControl, RunState
 from labhil.experiment.devices import Devices
 from labhil.experiment.experiment import TWIN, Experiment
@@ -38,6 +40,8 @@ __all__ = [
 ]
 
 PROGRESS_INTERVAL = 0.1
+AFTER_EMERGENCY_STOP = 2.0
+"""How long hosts stay after an emergency stop, s."""
 
 
 class _Enough(Exception):  # noqa: N818 - no error: somebody said that the steps so far are enough
@@ -56,14 +60,18 @@ def run_experiment(
     processes do it over the bus, see :mod:`labhil.experiment.remote`. ``progress`` is told every change of
     state with its reason, and how far the run has come in between.
 
-    Raises ExperimentFileError, RigFileError, or UsageError for a directory that cannot be made or a handle
-    that served another run, before anything is started. Everything that goes wrong after that is told by
-    the result. In the main thread SIGINT, SIGTERM and SIGHUP abort the run.
+    Raises ExperimentFileError, RigFileError, UsageError for a directory that cannot be made or a handle
+    that served another run, or CommandRefusedError while an emergency stop stands, before anything is
+    started. Everything that goes wrong after that is told by the result. In the main thread SIGINT, SIGTERM
+    and SIGHUP abort the run.
     """
     control = RunControl() if control is None else control
     if control.state is not RunState.IDLE:
         raise UsageError(f"a RunControl serves one run; this one's is {control.state.value}: make another")
     plan = make_plan(experiment)
+    standing = read_latch()
+    if standing is not None:
+        raise CommandRefusedError(f"{standing.describe()}; release it with `labhil estop --release`")
     try:
         out_dir.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -85,11 +93,12 @@ class _Run:
         self._interrupted, self._control = interrupted, control
         self._bus: Bus | None = None
         self._devices: Devices | None = None
+        self._goes_on_alone = False
 
     def run(self) -> RunResult:
         with ExitStack() as twins:
             try:
-                with open_bus() as self._bus, offer_control(self._bus, self._control, self._describe):
+                with open_bus() as self._bus, self._reachable(self._bus):
                     return self._recorded(self._bus, twins)
             except LabhilError as error:
                 # only what happens before there is a recorder, or to the recorder itself, comes by here
@@ -97,6 +106,17 @@ class _Run:
                 return RunResult(self._kept(), error.exit_status, 0.0, (), str(error), error)
             finally:
                 self._bus = None
+
+    @contextmanager
+    def _reachable(self, bus: Bus) -> Iterator[None]:
+        """Let other processes find this run and control it."""
+        names = [device.name for device in self._plan.devices]
+        section = self._plan.experiment.experiment
+        with (
+            registered("run", section.name, bus.endpoint, names),
+            offer_control(bus, self._control, self._describe),
+        ):
+            yield
 
     def _recorded(self, bus: Bus, twins: ExitStack) -> RunResult:
         self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -137,7 +157,15 @@ class _Run:
                     address = self._start_twin(device, twins)
                     self._look_at_requests()
                 devices.start_host(
-                    HostConfig(device.name, device.section.plugin, address, device.rig.limits, bus.endpoint)
+                    HostConfig(
+                        device.name,
+                        device.section.plugin,
+                        address,
+                        device.rig.limits,
+                        bus.endpoint,
+                        interlocks=device.rig.interlocks,
+                        reconnect=device.section.reconnect,
+                    )
                 )
             devices.connect(self._plan.devices, subscriptions, self._is_to_end)
         except RunStoppedError:
@@ -178,6 +206,7 @@ class _Run:
             if recorder.failure is not None:
                 raise recorder.failure
             devices.look_after()
+            self._wait_or_go_on(devices)
             self._report("")
 
     def _look_at_requests(self) -> None:
@@ -190,9 +219,21 @@ class _Run:
         if wanted is RunState.ABORTING:
             raise RunStoppedError(reason)
         if wanted is RunState.PAUSED:
+            self._goes_on_alone = False
             self._pause(reason)
         elif wanted is RunState.RUNNING:
             self._resume(reason)
+
+    def _wait_or_go_on(self, devices: Devices) -> None:
+        """Pause for a device that has to rest; go on by itself only where the device says that it is back."""
+        rest = devices.rest()
+        if self._control.state is RunState.RUNNING and rest:
+            self._goes_on_alone = devices.comes_back()
+            self._pause(rest)
+        elif self._control.state is RunState.PAUSED and self._goes_on_alone:
+            self._goes_on_alone = devices.comes_back()
+            if not rest:
+                self._resume("all devices are back")
 
     def _pause(self, reason: str) -> None:
         assert self._devices is not None
@@ -222,6 +263,9 @@ class _Run:
         else:
             self._become(RunState.ABORTING, str(error))
         failure = devices.make_safe("the run ends")
+        if isinstance(error, EmergencyStopError):
+            # whoever pressed it has yet to hear from each device, and what these do now is worth recording
+            time.sleep(AFTER_EMERGENCY_STOP)
         devices.end_hosts()
         return failure
 

@@ -1,7 +1,8 @@
 """The thread that owns a device: what it sends there, what it takes from there, and when it stops it.
 
 All state belongs to one thread, the one in :meth:`DeviceControl.run`. Whatever comes from the bus is put
-into its inbox; only ``safe`` reaches past it, since a device must be stopped even when that thread hangs.
+into its inbox; only ``safe`` and ``estop`` reach past it, since a device must be stopped even when that
+thread hangs.
 """
 
 from __future__ import annotations
@@ -21,11 +22,16 @@ from labhil.bus.publish import StreamPublisher, publish_event
 from labhil.bus.session import Bus
 from labhil.bus.subscribe import subscribe
 from labhil.driver import DeviceInfo, Driver
-from labhil.errors import BusError, CommandRefusedError, DeviceSilentError
+from labhil.errors import BusError, CommandRefusedError, DeviceError, DeviceSilentError
+from labhil.service.declared import command_stream, stream_metadata
+from labhil.service.interlocks import Interlocks
+from labhil.service.latch import HostLatch
 from labhil.service.lease import Lease
-from labhil.service.limits import CommandLimits, SampleLimits
+from labhil.service.limits import SampleLimits
 from labhil.service.messages import HostConfig, HostState, Setpoint
-from labhil.signals import Batch, Direction, Signal, Stream
+from labhil.service.output import Clock, Output
+from labhil.service.reconnect import Continuation, Search, refuse_another
+from labhil.signals import Batch
 
 READ_TIMEOUT = 0.002
 """Longest wait for samples, s: how late a setpoint may reach the driver."""
@@ -38,24 +44,7 @@ ANSWER_TIMEOUT = 1.0
 LONGEST_STALL = 0.05
 """What one turn of the loop may count for in the watchdog, s: our own stalls are nobody's silence."""
 
-COMMANDS = ("status", "set", "safe", "lease", "shutdown")
-
-
-def command_stream(state: Stream, commands: tuple[Signal, ...]) -> Stream:
-    """Return the declaration of what was requested and what was sent, per command signal."""
-    signals: list[Signal] = []
-    for signal in commands:
-        for suffix, what in (("requested", "before limits"), ("applied", "sent to the device")):
-            signals.append(
-                Signal(
-                    f"{signal.name}_{suffix}",
-                    signal.unit,
-                    Direction.REQUESTED,
-                    hold=signal.hold,
-                    description=f"{signal.name}, {what}",
-                )
-            )
-    return Stream("command", tuple(signals), state.rate)
+COMMANDS = ("status", "set", "safe", "lease", "estop", "shutdown")
 
 
 @dataclass(slots=True)
@@ -65,29 +54,6 @@ class Request:
     name: str
     payload: Any
     answer: Future[dict[str, Any]] | None = None
-
-
-@dataclass(slots=True)
-class Commanded:
-    """What is asked of a device and what it was sent last; host times on the monotonic clock, s."""
-
-    requested: dict[str, float]
-    applied: dict[str, float]
-    sent_at: float = 0.0
-    unheard: float = 0.0
-    count: int = 0
-
-
-@dataclass(slots=True)
-class Clock:
-    """The device's clock at its newest sample, and when that came; ns."""
-
-    t_hw_ns: int = 0
-    t_acq_ns: int = 0
-
-    def at(self, t_ns: int, speed: float) -> int:
-        """Return the device's clock at Unix time ``t_ns``."""
-        return self.t_hw_ns + round((t_ns - self.t_acq_ns) * speed)
 
 
 class DeviceControl:
@@ -104,14 +70,26 @@ class DeviceControl:
         self.state = HostState.IDLE
         self._reason = "connected"
         self._lease = Lease()
-        self._command_limits = CommandLimits(spec.commands, config.limits)
+        self._output = Output(driver, config.limits, info.speed)
         self._sample_limits = SampleLimits(spec.stream, spec.commands, config.limits)
-        self._commanded = Commanded(dict(spec.safe), dict(spec.safe))
-        self._clock = Clock(0, time.time_ns())
+        self._interlocks = Interlocks(spec.stream, config.interlocks)
+        self._latch = HostLatch()
+        self._answers: dict[str, Callable[[Any, float], dict[str, Any]]] = {
+            "setpoint": self._follow,
+            "set": self._set,
+            "lease": self._take_lease,
+            "safe": self._make_safe,
+            "estop": self._estop,
+            "shutdown": self._shut_down,
+            "status": self._status,
+        }
         self._shut_down_reason = ""
         self._refused: set[str] = set()
         self._violation: str | None = None
         self._heard_at = 0.0
+        self._heard_any = False
+        self._quiet = False
+        self._continuation = Continuation(spec.stream.rate * info.speed, info.speed)
         self._inbox: queue.SimpleQueue[Request] = queue.SimpleQueue()
         self._resources = ExitStack()
         # a controller answers each sample with a setpoint: wait for it here, and not for the next sample
@@ -128,7 +106,6 @@ class DeviceControl:
             commands = command_stream(spec.stream, spec.commands)
             self._commands = StreamPublisher(bus, config.device, commands, metadata)
             resources.callback(self._commands.close)
-            self._command_width = commands.width
             for name in COMMANDS:
                 resources.enter_context(serve(bus, command_key(config.device, name), self._handler(name)))
             resources.enter_context(subscribe(bus, setpoint_key(config.device), self._take_setpoints))
@@ -147,33 +124,85 @@ class DeviceControl:
         self._heard_at = before = time.monotonic()
         try:
             while not (reason := self._ended() or self._shut_down_reason):
-                batch = self._driver.read(READ_TIMEOUT)
-                now = time.monotonic()
-                if len(batch):
-                    self._heard_at = now
-                    self._take_in(batch)
-                elif now - self._heard_at > SILENCE:
-                    raise DeviceSilentError(
-                        f"{self._config.address}: the device said nothing for {SILENCE:g} s; "
-                        f"expected {self._driver.spec.stream.rate * self._info.speed:g} samples per second"
-                    )
-                answer_is_due = len(batch) > 0 and self.state is HostState.ACTIVE
-                self._answer_requests(now, self._reaction_time if answer_is_due else 0.0)
-                self._keep_watch(now, now - before)
+                try:
+                    now = self._turn(before)
+                except DeviceError as error:
+                    if not self._config.reconnect:
+                        raise
+                    self._look_for_the_device(error)
+                    self._heard_at = now = time.monotonic()
                 before = now
         finally:
             self._driver.safe()
         self._become(HostState.STOPPED, reason)
         return reason
 
+    def _turn(self, before: float) -> float:
+        """Take in samples, answer, keep watch; returns when that was. ``before`` is the last turn's time."""
+        batch = self._driver.read(READ_TIMEOUT)
+        now = time.monotonic()
+        if len(batch):
+            self._heard_at, self._heard_any = now, True
+            self._take_in(self._continuation.carry_on(batch))
+        elif now - self._heard_at > SILENCE:
+            raise DeviceSilentError(
+                f"{self._config.address}: the device said nothing for {SILENCE:g} s; "
+                f"expected {self._driver.spec.stream.rate * self._info.speed:g} samples per second"
+            )
+        self._look_at_latch(now)
+        answer_is_due = len(batch) > 0 and self.state is HostState.ACTIVE
+        if self._heard_any:  # what is asked at the very start waits for the sample that says how things stand
+            self._answer_requests(now, self._reaction_time if answer_is_due else 0.0)
+        self._keep_watch(now, now - before)
+        return now
+
+    def _look_for_the_device(self, error: DeviceError) -> None:
+        """Try to connect again, and answer meanwhile; raises what the last attempt did."""
+        self._to_safety(HostState.RECONNECTING, f"{error}; looking for it again", "lost")
+        lost_at = time.monotonic()
+        search = Search(self._driver)
+        try:
+            while (info := search.result(READ_TIMEOUT)) is None:
+                if self._ended() or self._shut_down_reason:
+                    return
+                now = time.monotonic()
+                self._look_at_latch(now)
+                self._answer_requests(now, 0.0)
+        finally:
+            search.cancel()
+        refuse_another(self._config.address, self._info, info)
+        booted = "the same boot" if info.boot_id == self._info.boot_id else "it has booted again"
+        self._info = info
+        self._heard_any, self._quiet = False, False
+        self._continuation.tear()
+        gap = time.monotonic() - lost_at
+        self._return(f"after {gap:.2f} s the device is back, its configuration sent again: {booted}")
+
+    def _return(self, message: str) -> None:
+        state = HostState.IDLE if self._latch.standing is None else HostState.LATCHED
+        self._become(state, message, "reconnected")
+
+    def _look_at_latch(self, now: float) -> None:
+        self._latch.look(now)
+        standing = self._latch.standing
+        if standing is not None and self.state not in (HostState.LATCHED, HostState.RECONNECTING):
+            self._to_safety(HostState.LATCHED, standing.describe(), "estop")
+
     # what comes from the device
 
     def _take_in(self, batch: Batch) -> None:
-        self._clock = Clock(int(batch.t_hw_ns[-1]), int(batch.t_acq_ns[-1]))
+        self._output.clock = Clock(int(batch.t_hw_ns[-1]), int(batch.t_acq_ns[-1]))
         self._states.put(batch)
         self._violation = self._sample_limits.violation(batch)
-        if self._violation is not None and self.state is not HostState.TRIPPED:
+        tripped = self._interlocks.take_in(batch)
+        if self._violation is not None and self.state in (HostState.IDLE, HostState.ACTIVE):
             self._to_safety(HostState.TRIPPED, self._violation)
+        if tripped is not None:
+            state = HostState.LATCHED if self.state is HostState.LATCHED else HostState.TRIPPED
+            self._to_safety(state, tripped.message, "interlock", then=tripped.then)
+        if self._quiet:
+            self._quiet = False
+            self._return("the device sends samples again")
 
     # what comes from the bus, still in the bus's threads
 
@@ -183,6 +212,9 @@ class DeviceControl:
 
     def _handler(self, name: str) -> Callable[[dict[str, Any]], dict[str, Any]]:
         def handle(payload: dict[str, Any]) -> dict[str, Any]:
+            if name == "estop" and payload.get("action", "press") == "press":
+                self._latch.press(payload)
+                self._driver.safe()
             if name == "safe":
                 self._driver.safe()
             request = Request(name, payload, Future())
@@ -219,29 +251,26 @@ class DeviceControl:
                     request.answer.set_result(answer)
 
     def _obey(self, request: Request, now: float) -> dict[str, Any]:
-        if request.name == "setpoint":
-            return self._follow(request.payload, now)
-        if request.name == "set":
-            return self._set(request.payload, now)
-        if request.name == "lease":
-            return self._take_lease(request.payload, now)
-        if request.name == "safe":
-            return self._safe(request.payload)
-        if request.name == "shutdown":
-            self._shut_down_reason = "told to shut down"
-        return self._status(now)
+        return self._answers[request.name](request.payload, now)
 
     def _refuse_once(self, message: str) -> None:
         if message not in self._refused:
             self._refused.add(message)
             self._announce("refused", message)
 
-    def _status(self, now: float) -> dict[str, Any]:
+    def _shut_down(self, payload: dict[str, Any], now: float) -> dict[str, Any]:
+        self._shut_down_reason = "told to shut down"
+        return self._status(payload, now)
+
+    def _status(self, _payload: dict[str, Any], now: float) -> dict[str, Any]:
         return {
             "state": self.state.value,
             "reason": self._reason,
             "holder": self._lease.holder if self._lease.is_held(now) else None,
-            "applied": self._commanded.applied,
+            "lease_left": self._lease.left(now),
+            "objection": self._objection(),
+            "age": now - self._heard_at,
+            "applied": self._output.applied,
             "counters": asdict(self._driver.counters),
             "overflows": self._states.overflows + self._commands.overflows,
         }
@@ -249,8 +278,9 @@ class DeviceControl:
     def _take_lease(self, payload: dict[str, Any], now: float) -> dict[str, Any]:
         action = payload.get("action", "take")
         if action == "take":
-            if self._violation is not None:
-                raise CommandRefusedError(f"the device is outside its limits: {self._violation}")
+            objection = self._objection()
+            if objection is not None:
+                raise CommandRefusedError(objection)
             holder = str(payload.get("holder", "somebody"))
             token = self._lease.take(holder, now)
             self._refused.clear()
@@ -262,102 +292,94 @@ class DeviceControl:
         if action == "return":
             self._to_safety(HostState.IDLE, "lease returned", "returned")
         else:
-            self._commanded.unheard = 0.0
+            self._output.unheard = 0.0
         return {}
 
-    def _safe(self, payload: dict[str, Any]) -> dict[str, Any]:
-        self._to_safety(HostState.IDLE, str(payload.get("reason", "told to")), "safe")
-        return {"applied": self._commanded.applied}
+    def _objection(self) -> str | None:
+        """Return what stands against commanding the device now, None when nothing does."""
+        if self._latch.standing is not None:
+            return f"{self._latch.standing.describe()}; release it with `labhil estop --release`"
+        if self.state is HostState.RECONNECTING:
+            return f"the device is not connected: {self._reason}"
+        if self._violation is not None:
+            return f"the device is outside its limits: {self._violation}"
+        return self._interlocks.standing()
+
+    def _make_safe(self, payload: dict[str, Any], _now: float) -> dict[str, Any]:
+        # what trips, latches or is lost stays so: being told to be safe as well lifts none of it
+        state = HostState.IDLE if self.state is HostState.ACTIVE else self.state
+        self._to_safety(state, str(payload.get("reason", "told to")), "safe")
+        return {"applied": self._output.applied}
+
+    def _estop(self, payload: dict[str, Any], now: float) -> dict[str, Any]:
+        action = payload.get("action", "press")
+        if action == "press":
+            self._look_at_latch(now)
+            self._driver.safe()
+        elif action == "release":
+            self._latch.release()
+            if self.state is HostState.LATCHED:
+                self._become(HostState.IDLE, "the emergency stop was released", "released")
+        else:
+            raise CommandRefusedError(f'estop: action is "press" or "release", found {action!r}')
+        return {"state": self.state.value, "latched": self._latch.standing is not None}
 
     def _set(self, payload: dict[str, Any], now: float) -> dict[str, Any]:
         setpoint = Setpoint.from_json(payload)
         self._admit(setpoint, now)
-        self._command_limits.refuse_beyond(setpoint.values)
+        self._output.limits.refuse_beyond(setpoint.values)
         self._apply(setpoint, now)
-        return {"requested": self._commanded.requested, "applied": self._commanded.applied}
+        return {"requested": self._output.requested, "applied": self._output.applied}
 
     def _follow(self, payload: bytes, now: float) -> dict[str, Any]:
         setpoint = Setpoint.from_bytes(payload)
         self._admit(setpoint, now)
-        self._command_limits.refuse_unusable(setpoint.values)
+        self._output.limits.refuse_unusable(setpoint.values)
         self._apply(setpoint, now)
         return {}
 
     def _admit(self, setpoint: Setpoint, now: float) -> None:
         # the lease comes first: a stale setpoint must not keep it alive
-        age = (time.time_ns() - setpoint.t_ns) * 1e-9
-        if age > self._config.watchdog:
-            raise CommandRefusedError(f"stale: a setpoint may be {self._config.watchdog:g} s old")
+        age, oldest = (time.time_ns() - setpoint.t_ns) * 1e-9, self._config.watchdog
+        if age > oldest:
+            raise CommandRefusedError(f"stale: a setpoint may be {oldest:g} s old, this one is {age:.3g} s")
+        if age < -oldest:
+            raise CommandRefusedError(f"from the future: the setpoint's clock is {-age:.3g} s ahead of ours")
+        if self._latch.standing is not None:
+            raise CommandRefusedError(self._latch.standing.describe())
         self._lease.renew(setpoint.token, now)
 
     def _apply(self, setpoint: Setpoint, now: float) -> None:
-        commanded = self._commanded
         if self.state is not HostState.ACTIVE:
-            # the first command may move as far as one sample allows, not as far as the pause was long
-            commanded.sent_at = now - 1 / (self._driver.spec.stream.rate * self._info.speed)
+            self._output.begin(now)
             self._become(HostState.ACTIVE, f"commanded by {self._lease.holder!r}")
-        commanded.requested.update(setpoint.values)
-        commanded.unheard = 0.0
-        self._send(now)
-
-    def _send(self, now: float) -> None:
-        commanded = self._commanded
-        elapsed = (now - commanded.sent_at) * self._info.speed
-        commanded.applied = {
-            name: self._command_limits.clipped(name, value, commanded.applied[name], elapsed)
-            for name, value in commanded.requested.items()
-        }
-        commanded.sent_at = now
-        self._driver.command(commanded.applied)
-        t_ns = time.time_ns()
-        row = [
-            value
-            for name in commanded.requested
-            for value in (commanded.requested[name], commanded.applied[name])
-        ]
-        t_hw_ns = self._clock.at(t_ns, self._info.speed)
-        self._commands.put(Batch.of([(commanded.count, t_ns, t_hw_ns, row)], self._command_width))
-        commanded.count += 1
+        self._output.take(setpoint.values)
+        self._commands.put(self._output.send(now))
 
     def _keep_watch(self, now: float, turn: float) -> None:
         if self.state is not HostState.ACTIVE:
             return
-        self._commanded.unheard += min(turn, LONGEST_STALL)
-        if self._commanded.unheard > self._config.watchdog:
+        self._output.unheard += min(turn, LONGEST_STALL)
+        if self._output.unheard > self._config.watchdog:
             stopped = f"watchdog: commands stopped for {self._config.watchdog:g} s"
             if now - self._heard_at > self._config.watchdog / 2:
                 # a controller that follows the samples has nothing to say when there are none
+                self._quiet = self._config.reconnect
                 self._to_safety(HostState.IDLE, f"{stopped}, as the device sends no samples", "quiet")
             else:
                 self._to_safety(HostState.IDLE, stopped, "watchdog")
-        elif now - self._commanded.sent_at > self._keep_alive:
-            self._send(now)
+        elif now - self._output.sent_at > self._keep_alive:
+            self._commands.put(self._output.send(now))
 
-    def _to_safety(self, state: HostState, reason: str, kind: str | None = None) -> None:
-        self._driver.safe()
+    def _to_safety(self, state: HostState, reason: str, kind: str | None = None, **more: str) -> None:
+        self._output.make_safe()
         self._lease.revoke()
-        safe = self._driver.spec.safe
-        self._commanded.requested, self._commanded.applied = dict(safe), dict(safe)
-        self._become(state, reason, kind)
+        self._become(state, reason, kind, **more)
 
-    def _become(self, state: HostState, reason: str, kind: str | None = None) -> None:
+    def _become(self, state: HostState, reason: str, kind: str | None = None, **more: str) -> None:
         self.state, self._reason = state, reason
-        self._announce(kind or state.value, reason)
+        self._announce(kind or state.value, reason, **more)
 
-    def _announce(self, kind: str, message: str) -> None:
-        data = {"t_ns": time.time_ns(), "kind": kind, "state": self.state.value, "message": message}
+    def _announce(self, kind: str, message: str, **more: str) -> None:
+        data = {"t_ns": time.time_ns(), "kind": kind, "state": self.state.value, "message": message, **more}
         publish_event(self._bus, self._config.device, data)
-
-
-def stream_metadata(config: HostConfig, driver: Driver, info: DeviceInfo) -> dict[str, str]:
-    """Return what is said of a device beside its samples: strings, as a recording wants them."""
-    return {
-        "plugin": config.plugin,
-        "rig": driver.spec.rig,
-        "address": config.address,
-        "firmware": info.firmware,
-        "serial": info.serial,
-        "boot_id": str(info.boot_id),
-        "speed": repr(info.speed),
-        **{f"calibration.{name}": repr(value) for name, value in info.calibration.items()},
-    }

@@ -19,6 +19,7 @@ from types import FrameType
 from typing import Any
 
 from labhil.bus.publish import publish_event
+from labhil.bus.register import registered
 from labhil.bus.session import Bus, open_bus
 from labhil.driver import DeviceInfo, Driver
 from labhil.errors import LabhilError
@@ -60,7 +61,8 @@ def serve_device(config: HostConfig, ended: EndOfInput) -> str:
     with open_bus(config.connect) as bus:
         try:
             info = driver.connect()
-            with DeviceControl(config, driver, info, bus, ended) as control:
+            reachable = registered("host", config.device, bus.endpoint, [config.device])
+            with reachable, DeviceControl(config, driver, info, bus, ended) as control:
                 say({"ready": described(driver, info)})
                 return control.run()
         except LabhilError as error:

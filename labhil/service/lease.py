@@ -28,6 +28,10 @@ class Lease:
         self.holder, self._token, self._expires = holder, secrets.token_hex(8), now + DURATION
         return self._token
 
+    def left(self, now: float) -> float:
+        """How long the lease still lasts if its holder is not heard of again, s; 0 without one."""
+        return max(self._expires - now, 0.0) if self.holder is not None else 0.0
+
     def is_held(self, now: float) -> bool:
         """Whether somebody holds the lease."""
         return self.holder is not None and now < self._expires

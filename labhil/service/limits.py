@@ -21,7 +21,9 @@ class CommandLimits:
     """Keeps commands within their limits; a signal without limits passes as it is, if it is finite."""
 
     def __init__(self, commands: tuple[Signal, ...], limits: Mapping[str, Limit]) -> None:
-        self._limits = {signal.name: limits.get(signal.name, NO_LIMIT) for signal in commands}
+        self._limits = {
+            column: limits.get(signal.name, NO_LIMIT) for signal in commands for column in signal.columns()
+        }
 
     def clipped(self, name: str, value: float, before: float, elapsed: float) -> float:
         """Return ``value`` within min, max, and within ``rate``·``elapsed`` of the value ``before``.

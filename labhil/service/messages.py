@@ -9,7 +9,7 @@ from enum import StrEnum
 from typing import Any
 
 from labhil.errors import CommandRefusedError
-from labhil.rig import Limit
+from labhil.rig import Interlock, Limit
 
 WATCHDOG = 0.25
 """How long commands may stop, s of the host's clock, before a host brings its device to safety."""
@@ -24,7 +24,11 @@ class HostState(StrEnum):
     ACTIVE = "active"
     """Somebody with the lease commands the device."""
     TRIPPED = "tripped"
-    """A sample left its limits; the device is in its safe state until the lease is taken anew."""
+    """A sample left its limits or tripped an interlock; safe until the lease is taken anew."""
+    LATCHED = "latched"
+    """The emergency stop was pressed; the device is in its safe state until it is released."""
+    RECONNECTING = "reconnecting"
+    """The wire is gone or the device booted again; nothing that is known of it is news."""
     FAILED = "failed"
     """The device or the wire to it failed."""
     STOPPED = "stopped"
@@ -35,7 +39,8 @@ class HostState(StrEnum):
 class HostConfig:
     """What a host needs to know; one line of JSON on its standard input.
 
-    ``connect`` is the endpoint of a bus session to join; ``watchdog`` is in s of the host's clock.
+    ``connect`` is the endpoint of a bus session to join; ``watchdog`` is in s of the host's clock;
+    ``reconnect`` lets it look for a device that it has lost.
     """
 
     device: str
@@ -44,6 +49,8 @@ class HostConfig:
     limits: Mapping[str, Limit] = field(default_factory=dict)
     connect: str | None = None
     watchdog: float = WATCHDOG
+    interlocks: Mapping[str, Interlock] = field(default_factory=dict)
+    reconnect: bool = False
 
     def to_line(self) -> str:
         """Return the configuration as one line."""
@@ -55,6 +62,8 @@ class HostConfig:
             "limits": limits,
             "connect": self.connect,
             "watchdog": self.watchdog,
+            "interlocks": {name: lock.model_dump() for name, lock in self.interlocks.items()},
+            "reconnect": self.reconnect,
         }
         return json.dumps(data) + "\n"
 
@@ -70,6 +79,8 @@ class HostConfig:
             limits,
             data["connect"],
             float(data["watchdog"]),
+            {name: Interlock.model_validate(lock) for name, lock in data["interlocks"].items()},
+            bool(data["reconnect"]),
         )
 
 

@@ -7,7 +7,6 @@ import signal
 import threading
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -20,11 +19,14 @@ from textual.screen import Screen
 from textual.widgets import DataTable, Footer, OptionList, SelectionList, Static, TabbedContent, TabPane
 from textual.widget import Widget
 
+from labhil.bus.latch import Latch
+from labhil.errors import LabhilError
+from labhil.service.emergency import Outcome
 from labhil.tui.devices import DevicesPane
 from labhil.tui.dialogs import Confirm, Tell
 from labhil.tui.experiment import ALLOWED, ExperimentPane
 from labhil.tui.jobs import Jobs
-from labhil.tui.lab import Answer, Lab
+from labhil.tui.lab import Lab
 from labhil.tui.live import LivePane
 from labhil.tui.messages import RunSaid, ShelfRead, StartWanted, StudySaid, StudyWanted
 from labhil.tui.recordings import RecordingsPane
@@ -44,12 +46,17 @@ TABS = ("devices", "live", "experiment", "recordings", "results")
 ENDINGS = (signal.SIGTERM, signal.SIGHUP)
 
 
-@dataclass(frozen=True, slots=True)
-class Stopped:
-    """The emergency stop, from when it was pressed until it is released."""
-
-    at: str
-    answers: tuple[Answer, ...] | None = None
+def stop_note(standing: Latch, outcome: Outcome | None) -> Text:
+    """What the red line says: who pressed it, who is safe, and above all who did not answer."""
+    text = Text(f"■ EMERGENCY STOP at {time.strftime('%H:%M:%S', time.localtime(standing.since))}", style="bold")
+    text.append(f" by {standing.by}. ", style="not bold")
+    if outcome is not None:
+        bad = [*outcome.failed, *outcome.silent]
+        if bad:
+            text.append(f"NO PROPER ANSWER from {', '.join(bad)}: switch the power off. ", style="bold reverse")
+        if outcome.answered:
+            text.append(f"Safe: {', '.join(outcome.answered)}. ")
+    return text.append("F9 releases it.")
 
 
 class StopButton(Static):
@@ -96,7 +103,8 @@ class LabApp(App[None]):
         self.runner = Runner(folder, lambda line: self.post_message(RunSaid(line)))
         self.jobs = Jobs(lambda number, line: self.post_message(StudySaid(number, line)), time.monotonic)
         self.shelf = Shelf(folder)
-        self.stopped: Stopped | None = None
+        self.stopped: Latch | None = None
+        self.outcome: Outcome | None = None
         self.leaving = ""
         self._reading = threading.Lock()
         self.register_theme(DARK)
@@ -173,6 +181,7 @@ class LabApp(App[None]):
     def _show_facts(self) -> None:
         if not self.standing:
             return
+        self._look_at_latch()
         self._show_bar()
         self.base.query_one(LivePane).refresh_list()
         self.base.query_one(ExperimentPane).refresh_view()
@@ -323,43 +332,36 @@ class LabApp(App[None]):
 
     def action_stop_all(self) -> None:
         """Bring every device in reach to its safe state, and hold all runs until it is released."""
-        self.stopped = Stopped(time.strftime("%H:%M:%S"))
-        self.runner.ask("abort", "emergency stop in the terminal UI")
-        self._show_stop()
+        self.outcome = None
         self.run_worker(self._stop_devices, thread=True, group="stop", exit_on_error=False)
 
     def _stop_devices(self) -> None:
-        answers = tuple(self.lab.stop_all("emergency stop in the terminal UI"))
-        self.call_from_thread(self._take_answers, answers)
+        outcome = self.lab.stop_all("emergency stop in the terminal UI")
+        self.call_later(self._take_outcome, outcome)
 
-    def _take_answers(self, answers: tuple[Answer, ...]) -> None:
-        if self.stopped is not None:
-            self.stopped = Stopped(self.stopped.at, answers)
+    def _take_outcome(self, outcome: Outcome) -> None:
+        self.outcome = outcome
         log = self.base.query_one(ExperimentPane)
-        for answer in answers:
-            log.log_line("stop all", answer.trouble or "in its safe state", answer.device)
-        self._show_stop()
+        for name, state in outcome.answered.items():
+            log.log_line("stop all", f"in its safe state, {state}", name)
+        for name, why in outcome.failed.items():
+            log.log_line("stop all", f"did not stop properly: {why}", name)
+        for name in outcome.silent:
+            log.log_line("stop all", "NO ANSWER: switch its power off", name)
+        self._look_at_latch(again=True)
 
-    def _show_stop(self) -> None:
-        note = self.base.query_one("#stop-note", Static)
-        note.display = self.stopped is not None
-        if self.stopped is None:
+    def _look_at_latch(self, *, again: bool = False) -> None:
+        """Show the emergency stop, whoever pressed it."""
+        standing = self.lab.latch
+        if standing == self.stopped and not again:
             return
-        text = Text(f" ■ EMERGENCY STOP at {self.stopped.at}. ", style="bold")
-        answers = self.stopped.answers
-        if answers is None:
-            text.append("Asking every device …")
-        elif not answers:
-            text.append("No device is in reach.")
+        self.stopped = standing
+        note = self.base.query_one("#stop-note", Static)
+        note.display = standing is not None
+        if standing is None:
+            self.outcome = None
         else:
-            silent = [answer.device for answer in answers if answer.trouble]
-            safe = [answer.device for answer in answers if not answer.trouble]
-            if silent:
-                text.append(f"NO ANSWER from {', '.join(silent)}: cut the power. ", style="bold reverse")
-            if safe:
-                text.append(f"Safe: {', '.join(safe)}. ")
-        text.append(" F9 releases it.")
-        note.update(text)
+            note.update(stop_note(standing, self.outcome))
         self.refresh_bindings()
 
     def action_release(self) -> None:
@@ -367,13 +369,18 @@ class LabApp(App[None]):
 
         def go(yes: bool | None) -> None:
             if yes:
-                self.stopped = None
-                self._show_stop()
-                self.base.query_one(ExperimentPane).log_line("released", "runs may be started again")
-                self.refresh_bindings()
+                self.run_worker(self._release, thread=True, group="stop", exit_on_error=False)
 
-        question = "Release the emergency stop?\n\nNothing moves by that; runs can be started again."
+        question = "Release the emergency stop?\n\nNothing moves by that; devices may be commanded again."
         self.push_screen(Confirm(question, "Release", "Keep it"), go)
+
+    def _release(self) -> None:
+        try:
+            self.lab.release()
+        except LabhilError as error:
+            self.call_later(self.notify, str(error), severity="error")
+        self.call_later(self.base.query_one(ExperimentPane).log_line, "released", "runs may be started again")
+        self.call_later(self._look_at_latch)
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """There is something to release only after a stop."""

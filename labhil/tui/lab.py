@@ -10,10 +10,11 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
-from labhil.bus.ask import ask
-from labhil.bus.keys import command_key
+from labhil.bus.latch import Latch, read_latch
+from labhil.bus.register import running
 from labhil.bus.session import open_bus
 from labhil.errors import LabhilError
+from labhil.service.emergency import Outcome, press_everywhere, press_on, release_everywhere
 from labhil.signals import Signal
 from labhil.tui.watch import DeviceView, Said, StreamWatch, Watch
 
@@ -21,17 +22,18 @@ LOOK_INTERVAL = 0.5
 FORGET_AFTER = 3
 """A bus that is no longer told of, and has no device any more, is left after so many looks."""
 
-STOP_TIMEOUT = 1.0
+BY = "the terminal UI"
 
 Endpoints = Callable[[], Iterable[str]]
 
 
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """What one device said to the emergency stop; ``trouble`` is empty when it is in its safe state."""
-
-    device: str
-    trouble: str
+def registered_buses() -> list[str]:
+    """Endpoints of the buses on this machine: of whoever leads one, and of hosts that nobody leads."""
+    entries = running()
+    leaders = [entry for entry in entries if entry.kind != "host"]
+    led = {device for entry in leaders for device in entry.devices}
+    alone = [entry for entry in entries if entry.kind == "host" and not led.intersection(entry.devices)]
+    return [entry.endpoint for entry in (*leaders, *alone)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +57,7 @@ class Lab:
     Raises BusError where nobody listens at a fixed endpoint.
     """
 
-    def __init__(self, fixed: Iterable[str] = (), found: Endpoints = tuple) -> None:
+    def __init__(self, fixed: Iterable[str] = (), found: Endpoints = registered_buses) -> None:
         self._fixed, self._found = tuple(fixed), found
         self._watches: dict[str, Watch] = {}
         self._missed: dict[str, int] = {}
@@ -110,34 +112,32 @@ class Lab:
         said = [event for watch in self.watches.values() for event in watch.events.copy()]
         return sorted(said, key=lambda event: event.t_ns)
 
-    def stop_all(self, reason: str) -> list[Answer]:
-        """Bring every device in reach to its safe state, all at the same time; say who did not answer."""
-        targets = [
-            (watch, view.name)
-            for watch in self.watches.values()
-            for view in watch.devices()
-            if view.state != "gone"
-        ]
-        answers: list[Answer | None] = [None] * len(targets)
+    @property
+    def latch(self) -> Latch | None:
+        """The emergency stop, whoever pressed it; None where none stands."""
+        return read_latch()
 
-        def stop(index: int, watch: Watch, device: str) -> None:
-            try:
-                ask(watch.bus, command_key(device, "safe"), {"reason": reason}, STOP_TIMEOUT)
-                answers[index] = Answer(device, "")
-            except LabhilError as error:
-                answers[index] = Answer(device, str(error))
+    def stop_all(self, reason: str) -> Outcome:
+        """Press the emergency stop: every device on this machine and in reach, at once; say who did not answer.
 
-        threads = [
-            threading.Thread(target=stop, args=(i, *target), name=f"stop {target[1]}")
-            for i, target in enumerate(targets)
-        ]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join(2 * STOP_TIMEOUT + 1.0)
-        return [
-            answer or Answer(target[1], "no answer") for answer, target in zip(answers, targets, strict=True)
-        ]
+        The latch is set before anybody is asked, and works without any bus.
+        """
+        outcomes = [press_everywhere(BY, reason)]
+        for endpoint in self._fixed:
+            watch = self.watches.get(endpoint)
+            if watch is not None:
+                expected = [view.name for view in watch.devices() if view.state != "gone"]
+                outcomes.append(press_on(watch.bus, BY, reason, expected))
+        answered = {name: state for outcome in outcomes for name, state in outcome.answered.items()}
+        failed = {name: why for outcome in outcomes for name, why in outcome.failed.items()}
+        silent = {name for outcome in outcomes for name in outcome.silent} - answered.keys()
+        return Outcome(answered, failed, tuple(sorted(silent)))
+
+    def release(self) -> None:
+        """Release the emergency stop everywhere; nothing moves by that."""
+        release_everywhere()
+        for endpoint in self._fixed:
+            release_everywhere(endpoint)
 
     # the thread that looks around
 

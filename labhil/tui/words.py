@@ -29,6 +29,8 @@ STATES = {
     "idle": Look("○", "idle", "foreground"),
     "connecting": Look("…", "connecting", "muted"),
     "tripped": Look("▲", "TRIPPED", "error"),
+    "latched": Look("■", "LATCHED", "error"),
+    "reconnecting": Look("…", "reconnecting", "warning"),
     "failed": Look("✕", "FAILED", "error"),
     "stopped": Look("■", "stopped", "muted"),
     "no answer": Look("?", "no answer", "warning"),

@@ -184,3 +184,7 @@ def test_a_request_to_end_is_not_taken_back() -> None:
         control.pause()
     with pytest.raises(ValueError, match="cannot become finished"):
         control.become(RunState.FINISHED, "")
+
+
+def test_the_diagram_in_the_documentation_is_made_of_the_table() -> None:
+    assert f"```mermaid\n{mermaid()}\n```" in (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")

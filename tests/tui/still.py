@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from labhil.bus.latch import Latch
+from labhil.service.emergency import Outcome
 from labhil.signals import Batch, Direction, Hold, Signal, Stream
-from labhil.tui.lab import Answer, Place
+from labhil.tui.lab import Place
 from labhil.tui.watch import Beat, DeviceView, Said, StreamWatch
 
 NOW_NS = 1_790_000_000_000_000_000
@@ -27,6 +29,7 @@ class StillLab:
 
     def __init__(self, *, empty: bool = False) -> None:
         self._empty = empty
+        self.latch: Latch | None = None
         self._bench = StreamWatch(STATE, 1.0, {"plugin": "ball_beam"})
         n = 2000
         t = np.arange(n) / RATE
@@ -66,5 +69,9 @@ class StillLab:
             Said(NOW_NS - 1_000_000_000, "spare", "tripped", "ball_position 0.26 m is beyond its limit of 0.24 m"),
         ]
 
-    def stop_all(self, _reason: str) -> list[Answer]:
-        return [Answer("bench", ""), Answer("spare", "spare: nobody answers there")]
+    def stop_all(self, reason: str) -> Outcome:
+        self.latch = Latch("the terminal UI", reason, NOW_NS * 1e-9)
+        return Outcome({"bench": "latched"}, {}, ("spare",))
+
+    def release(self) -> None:
+        self.latch = None

@@ -1,0 +1,62 @@
+"""The emergency stop as a file: while it stands, no host of this user leaves its safe state.
+
+Every host looks at it twenty times a second and before it gives anybody the lease, so that it holds
+without the bus, across runs, and for hosts that start later.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from labhil.bus.register import runtime_directory, write_whole
+
+
+@dataclass(frozen=True, slots=True)
+class Latch:
+    """Who pressed the emergency stop, why, and when (Unix time, s)."""
+
+    by: str
+    reason: str
+    since: float
+
+    def describe(self) -> str:
+        """Return what stands, for a person."""
+        at = time.strftime("%H:%M:%S", time.localtime(self.since))
+        return f"emergency stop by {self.by} at {at}: {self.reason}"
+
+
+def latch_path() -> Path:
+    """Return where the latch stands while it does."""
+    return runtime_directory() / "emergency_stop"
+
+
+def press(by: str, reason: str) -> Latch:
+    """Latch the stop; one that stands already is kept as it is."""
+    standing = read_latch()
+    if standing is None:
+        standing = Latch(by, reason, time.time())
+        write_whole(latch_path(), json.dumps(asdict(standing)))
+    return standing
+
+
+def read_latch() -> Latch | None:
+    """Return the latch if it stands; a file that says nothing sensible stands, too."""
+    try:
+        text = latch_path().read_text(encoding="utf-8", errors="replace")
+    except FileNotFoundError:
+        return None
+    with contextlib.suppress(ValueError, TypeError, KeyError):
+        data = json.loads(text)
+        return Latch(str(data["by"]), str(data["reason"]), float(data["since"]))
+    return Latch("somebody", "the file that says more cannot be read", time.time())
+
+
+def release() -> bool:
+    """Take the latch away; whether there was one."""
+    standing = latch_path().exists()
+    latch_path().unlink(missing_ok=True)
+    return standing

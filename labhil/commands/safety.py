@@ -1,0 +1,91 @@
+"""Commands for who is in command: the emergency stop, and a run that is up controlled from outside."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import Annotated
+
+import typer
+
+from labhil.console import tell, write_json
+
+Connect = Annotated[
+    str | None,
+    typer.Option(metavar="ENDPOINT", help="The bus, like tcp/127.0.0.1:40123 (default: found by itself)."),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+
+
+def add_safety(app: typer.Typer) -> None:
+    """Register these commands."""
+    app.command(epilog="Example: labhil estop --reason 'the ball jumped'")(estop)
+    app.command(epilog="Example: labhil control pause --reason 'to look at the ball'")(control)
+
+
+def estop(
+    *,
+    release: Annotated[
+        bool, typer.Option("--release", help="Release it: devices may be commanded again.")
+    ] = False,
+    reason: Annotated[str, typer.Option(help="Stands in every recording.")] = "no reason was given",
+    connect: Connect = None,
+    as_json: AsJson = False,
+) -> None:
+    """Emergency stop: every device goes to its safe state at once, and stays there.
+
+    The stop is latched: runs end, and no device can be commanded until `labhil estop --release`. Exit status
+    1, and the device named, when one does not answer, and when there was none to stop.
+    """
+    from labhil.service.emergency import press_everywhere, release_everywhere
+
+    by = f"labhil estop (user {os.getuid()}, pid {os.getpid()})"
+    outcome = release_everywhere(connect) if release else press_everywhere(by, reason, connect)
+    if as_json:
+        write_json(
+            {
+                "schema": "labhil.estop/1",
+                "action": "release" if release else "press",
+                "answered": dict(outcome.answered),
+                "failed": dict(outcome.failed),
+                "silent": list(outcome.silent),
+            }
+        )
+    else:
+        for device, state in sorted(outcome.answered.items()):
+            print(f"{device}: {state}")
+    for device, why in sorted(outcome.failed.items()):
+        print(f"{device}: DID NOT STOP PROPERLY: {why}", file=sys.stderr)
+    for device in outcome.silent:
+        print(f"{device}: NO ANSWER. Do not rely on it: switch its power off.", file=sys.stderr)
+    if release:
+        none_there = not (outcome.answered or outcome.failed or outcome.silent)
+        tell(["released"] + (["no device was there to be told"] if none_there else []))
+        raise typer.Exit(0 if none_there or outcome.complete else 1)
+    if not (outcome.answered or outcome.failed or outcome.silent):
+        tell(["no device was found to stop"])
+    tell(["latched: no device can be commanded until `labhil estop --release`"])
+    raise typer.Exit(0 if outcome.complete else 1)
+
+
+def control(
+    action: Annotated[str, typer.Argument(help="status, pause, resume, stop or abort.")],
+    reason: Annotated[str | None, typer.Option(help="Stands in the recording.")] = None,
+    connect: Connect = None,
+) -> None:
+    """Ask or tell a run that is up: its state, pause, resume, stop (exit status 0), abort (exit status 1).
+
+    Prints what the run does now, as JSON.
+    """
+    from labhil.bus.ask import ask
+    from labhil.bus.keys import RUN, command_key
+    from labhil.bus.register import find_run
+    from labhil.bus.session import open_bus
+    from labhil.errors import UnknownNameError
+
+    actions = ("status", "pause", "resume", "stop", "abort")
+    if action not in actions:
+        raise UnknownNameError("action", action, actions)
+    payload = {} if reason is None else {"reason": reason}
+    with open_bus(find_run(connect)) as bus:
+        write_json(ask(bus, command_key(RUN, action), payload, timeout=5.0, patience=3.0))

@@ -1,0 +1,93 @@
+"""The emergency stop, from the side of whoever presses it: every device at once, and who did not answer."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from labhil.bus import latch
+from labhil.bus.ask import ask_all
+from labhil.bus.keys import command_key
+from labhil.bus.live import live_devices
+from labhil.bus.register import check_loopback, running
+from labhil.bus.session import Bus, open_bus
+from labhil.errors import BusError, CommandRefusedError
+
+PATIENCE = 3.0
+"""How long devices that are expected to answer are asked again, s: a bus that was just joined needs one."""
+
+ASK_EVERY = 0.1
+EVERY_HOST = command_key("*", "estop")
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """Who answered, and with which state; why a host could not do it; and who said nothing at all."""
+
+    answered: Mapping[str, str]
+    failed: Mapping[str, str]
+    silent: tuple[str, ...]
+
+    @property
+    def complete(self) -> bool:
+        """Whether there was somebody to stop, and everybody was."""
+        return bool(self.answered) and not self.failed and not self.silent
+
+
+def press_everywhere(by: str, reason: str, connect: str | None = None) -> Outcome:
+    """Stop every device on this machine, or those on the bus of ``connect``, and latch the stop.
+
+    The latch is set first: it works without the bus. BusError when no bus can be opened at all.
+    """
+    latch.press(by, reason)
+    return _ask_everywhere({"action": "press", "by": by, "reason": reason}, connect)
+
+
+def release_everywhere(connect: str | None = None) -> Outcome:
+    """Release the stop in every host; nothing moves by that, it can only be commanded again."""
+    latch.release()
+    return _ask_everywhere({"action": "release"}, connect)
+
+
+def press_on(bus: Bus, by: str, reason: str, expected: Collection[str]) -> Outcome:
+    """Stop every device on a bus that is open already; ``expected`` are those that have to answer."""
+    latch.press(by, reason)
+    return _ask_until_all_answer(bus, {"action": "press", "by": by, "reason": reason}, set(expected))
+
+
+def _ask_everywhere(payload: Mapping[str, Any], connect: str | None) -> Outcome:
+    entries = running()
+    if connect is not None:
+        entries = tuple(entry for entry in entries if entry.endpoint == check_loopback(connect))
+        endpoints = [connect]
+    else:
+        endpoints = [entry.endpoint for entry in entries]
+    expected = {device for entry in entries for device in entry.devices}
+    if not endpoints:
+        return Outcome({}, {}, ())
+    with open_bus(endpoints) as bus:
+        return _ask_until_all_answer(bus, payload, expected)
+
+
+def _ask_until_all_answer(bus: Bus, payload: Mapping[str, Any], expected: set[str]) -> Outcome:
+    """Ask all hosts again and again until every device that is expected, or alive, has answered."""
+    answered: dict[str, str] = {}
+    failed: dict[str, str] = {}
+    deadline = time.monotonic() + PATIENCE
+    missing = set(expected)
+    while True:
+        left = max(deadline - time.monotonic(), 0.2)
+        for key, answer in ask_all(bus, EVERY_HOST, payload, left).items():
+            device = key.split("/")[1]
+            if isinstance(answer, (BusError, CommandRefusedError)):
+                failed[device] = str(answer)
+            else:
+                answered[device] = str(answer.get("state"))
+                failed.pop(device, None)
+        missing = (expected | set(live_devices(bus, 0.2))) - set(answered)
+        if time.monotonic() > deadline or not (missing or bus.settling):
+            silent = tuple(sorted(missing - set(failed)))
+            return Outcome(answered, failed, silent)
+        time.sleep(ASK_EVERY)

@@ -1,0 +1,109 @@
+"""A device that was lost, looked for again: attempts in a thread of their own, and what carries on after.
+
+Nothing is assumed of what comes back: the driver sends the whole configuration again, and a device that is
+another one, or another firmware, is an error.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass
+
+from labhil.driver import DeviceInfo, Driver
+from labhil.errors import DeviceError, ProtocolError
+from labhil.signals import Batch
+
+FIRST_WAIT = 0.1
+LONGEST_WAIT = 2.0
+"""s between two attempts: doubled each time, up to this."""
+
+GIVE_UP = 60.0
+"""How long a lost device is looked for, s."""
+
+
+class Search:
+    """Connects again and again, until it works or ``GIVE_UP`` s have passed. One use each."""
+
+    def __init__(self, driver: Driver) -> None:
+        self._driver = driver
+        self._found: DeviceInfo | None = None
+        self._error: DeviceError | None = None
+        self._over = threading.Event()
+        self._cancelled = threading.Event()
+        # a driver that hangs while it connects must not keep its host from ending
+        self._thread = threading.Thread(target=self._run, name="reconnect", daemon=True)
+        self._thread.start()
+
+    def result(self, timeout: float) -> DeviceInfo | None:
+        """Wait up to ``timeout`` s for the device; raises what the last attempt did, once it was the last."""
+        if not self._over.wait(timeout):
+            return None
+        if self._error is not None:
+            raise self._error
+        return self._found
+
+    def cancel(self) -> None:
+        """Stop looking after the present attempt."""
+        self._cancelled.set()
+
+    def _run(self) -> None:
+        deadline, wait = time.monotonic() + GIVE_UP, FIRST_WAIT
+        self._driver.close()
+        while not self._cancelled.wait(wait):
+            try:
+                self._found = self._driver.connect()
+                break
+            except DeviceError as error:
+                if time.monotonic() + wait > deadline:
+                    self._error = error
+                    break
+            wait = min(2 * wait, LONGEST_WAIT)
+        self._over.set()
+
+
+def refuse_another(address: str, before: DeviceInfo, now: DeviceInfo) -> None:
+    """Raise ProtocolError unless the device that came back is the one that was lost, but for its boot."""
+    for what in ("serial", "firmware", "speed", "calibration"):
+        was, found = getattr(before, what), getattr(now, what)
+        if was != found:
+            raise ProtocolError(
+                f"{address}: another device came back: expected {what} {was!r}, found {found!r}"
+            )
+
+
+@dataclass(slots=True)
+class Continuation:
+    """Sequence numbers and the device's clock, carried on across connections.
+
+    After a gap both begin anew at the device. The clock goes on by the host's, and the hole in ``seq`` is
+    as large as the host's clock says that samples are missing at ``rate`` (per s of the host).
+    """
+
+    rate: float
+    speed: float
+    _seq: int = 0
+    _t_hw_ns: int = 0
+    _last: tuple[int, int, int] | None = None
+    _torn: bool = False
+
+    def tear(self) -> None:
+        """The next batch is the first of another connection."""
+        self._torn = self._last is not None
+
+    def carry_on(self, batch: Batch) -> Batch:
+        """Return the batch (not empty) as the continuation of what came before."""
+        if self._torn and self._last is not None:
+            self._tie(batch, *self._last)
+        if self._seq or self._t_hw_ns:
+            batch = Batch(batch.seq + self._seq, batch.t_acq_ns, batch.t_hw_ns + self._t_hw_ns, batch.values)
+        self._last = (int(batch.seq[-1]), int(batch.t_acq_ns[-1]), int(batch.t_hw_ns[-1]))
+        return batch
+
+    def _tie(self, batch: Batch, seq: int, t_acq_ns: int, t_hw_ns: int) -> None:
+        gap_ns = max(int(batch.t_acq_ns[-1]) - t_acq_ns, 1)
+        missing = max(round(gap_ns * 1e-9 * self.rate), len(batch))
+        self._seq = seq + missing - int(batch.seq[-1])
+        within = int(batch.t_hw_ns[-1] - batch.t_hw_ns[0])
+        self._t_hw_ns = t_hw_ns + max(round(gap_ns * self.speed), within + 1) - int(batch.t_hw_ns[-1])
+        self._torn = False
