@@ -202,7 +202,8 @@ class LabApp(App[None]):
         for job in self.jobs.at_work:
             line.append(f" … {job.title}", style=colours["accent"])
         if not line.plain:
-            line.append(str(self.folder.absolute()), style=colours["muted"])
+            place = self.folder if self.folder.name else self.folder.absolute()
+            line.append(str(place), style=colours["muted"])
         self.base.query_one("#bar-run", Static).update(line)
 
     def look_at_files(self) -> None:

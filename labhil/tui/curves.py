@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from labhil.report.study import DiagnosisResult, FitResult
 
 MOST_POINTS = 20_000
+"""Of a channel; more than any terminal has columns."""
 MOST_DOTS = 2_000
 
 
@@ -50,8 +51,8 @@ def curves_of_diagnosis(result: DiagnosisResult) -> dict[str, Any]:
         name = common if common in share.units else next(iter(share.units))
         x, y = np.asarray(share.coordinates[name]), np.asarray(share.values)
         step = max(1, len(x) // MOST_DOTS)
-        curves[f"missing/{key}"] = y[::step]
-        curves[f"missing/{key}/x"] = x[::step]
+        curves[f"missing/{key}"] = y[::step].astype(np.float32)
+        curves[f"missing/{key}/x"] = x[::step].astype(np.float32)
         curves[f"missing/{key}/axis"] = np.array(f"{name}, {share.units[name]}")
     return curves
 
@@ -64,12 +65,13 @@ def _channels(record: Record, scores: dict[str, Score]) -> dict[str, Any]:
         rows = first.rows
         step = max(1, len(rows) // MOST_POINTS)
         measured = record.outputs[rows, j]
-        curves[f"{name}/t"] = record.t[rows][::step]
-        curves[f"{name}/measured"] = measured[::step]
+        curves[f"{name}/t"] = record.t[rows][::step].astype(np.float32)
+        curves[f"{name}/measured"] = measured[::step].astype(np.float32)
         curves[f"{name}/unit"] = np.array(channel.unit)
         for label, score in scores.items():
             new = np.r_[True, np.diff(score.window) > 0]
-            curves[f"{name}/{label}"] = np.where(new, np.nan, measured + score.errors[:, j])[::step]
+            simulated = np.where(new, np.nan, measured + score.errors[:, j])[::step]
+            curves[f"{name}/{label}"] = simulated.astype(np.float32)
     return curves
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from rich.text import Text
 from textual.app import ComposeResult
 from textual.binding import Binding
 from textual.containers import Container, Horizontal, Vertical, VerticalScroll
-from textual.widgets import Button, OptionList, ProgressBar, RichLog, Static
+from textual.widgets import Button, OptionList, ProgressBar, Static
 from textual.widgets.option_list import Option
 
 from labhil.errors import LabhilError
@@ -38,6 +39,9 @@ ALLOWED = {
 }
 """In which states of a run each of them makes sense."""
 
+MOST_LINES = 200
+"""Of the log; all that happens stands in the recording."""
+
 
 class ExperimentPane(Vertical):
     """The list of experiments, the plan of the chosen one, the run, and what happens."""
@@ -55,6 +59,7 @@ class ExperimentPane(Vertical):
         self._files: list[ExperimentFile] = []
         self.plan: Plan | None = None
         self._logged_ns = 0
+        self._log: deque[Text] = deque(maxlen=MOST_LINES)
         self._shown_state = ""
 
     def compose(self) -> ComposeResult:
@@ -71,7 +76,8 @@ class ExperimentPane(Vertical):
             for name, label, variant in BUTTONS:
                 yield Button(label, id=f"run-{name}", variant=variant, compact=True)  # type: ignore[arg-type]
             yield Static(id="run-reason")
-        yield RichLog(id="run-log", wrap=True, max_lines=500, min_width=40)
+        with VerticalScroll(id="run-log"):
+            yield Static(id="run-log-lines")
 
     def on_mount(self) -> None:
         """Fill the list."""
@@ -143,7 +149,8 @@ class ExperimentPane(Vertical):
             text.append(str(error))
         else:
             text.append_text(plan_text(self.plan, colours))
-        text.append(f"\n\n{file.path}", style=colours["muted"])
+        place = f"comes with labhil as {file.path.name}" if file.packaged else str(file.path)
+        text.append(f"\n\n{place}", style=colours["muted"])
         self.query_one("#plan", Static).update(text)
 
     # the run
@@ -182,7 +189,9 @@ class ExperimentPane(Vertical):
         sign = "▲ " if bad else ""
         line.append(f"{sign}{kind}", style=colours["error" if bad else "primary"])
         line.append(f"  {message}")
-        self.query_one(RichLog).write(line)
+        self._log.append(line)
+        self.query_one("#run-log-lines", Static).update(Text("\n").join(self._log))
+        self.query_one("#run-log").scroll_end(animate=False)
 
     def take_result(self, result: dict[str, Any] | None, error: str | None) -> None:
         """Log what came of a run."""

@@ -58,9 +58,9 @@ class Ticks(NumericAxisFormatter):
     def get_ticks(self, min_: float, max_: float, max_ticks: int = 8) -> list[float]:
         """Return where the ticks are."""
         step = round_step((max_ - min_) / max(1, self.most))
-        first = math.ceil(min_ / step - 1e-9)
-        last = math.floor(max_ / step + 1e-9)
-        return [number * step for number in range(first, last + 1)]
+        ticks = _multiples(step, min_, max_)
+        # a single tick says nothing of the scale
+        return ticks if len(ticks) > 1 else _multiples(round_step(step / 2.01), min_, max_)
 
     def get_labels_for_ticks(self, ticks: Sequence[float]) -> list[str]:
         """Return what stands at them."""
@@ -72,6 +72,11 @@ class Ticks(NumericAxisFormatter):
             return [f"{tick:.1e}".replace("e-0", "e-").replace("e+0", "e") for tick in ticks]
         decimals = max(0, -math.floor(math.log10(step) + 1e-9))
         return [f"{tick + 0.0:.{decimals}f}".replace("-", "−") for tick in ticks]
+
+
+def _multiples(step: float, low: float, high: float) -> list[float]:
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return [number * step for number in range(first, last + 1)]
 
 
 def round_step(step: float) -> float:

@@ -27,7 +27,10 @@ ROUTINE = "status"
 class RecordingScreen(Screen[None]):
     """The channels of a recording, read in a thread."""
 
-    BINDINGS = [Binding("escape,q,backspace", "app.pop_screen", "Back", id="recording.back")]
+    BINDINGS = [
+        Binding("escape,q,backspace", "app.pop_screen", "Back", id="recording.back"),
+        Binding("f12", "app.stop_all", "STOP ALL", id="recording.stop", tooltip="Emergency stop"),
+    ]
 
     def __init__(self, path: Path) -> None:
         super().__init__(id="recording-screen")

@@ -150,10 +150,11 @@ class RecordingsPane(Vertical):
         line = Text()
         if one is not None:
             line.append(one.path.name, style="bold")
-            line.append(f"  {one.trouble or one.reason or one.status}\n", style=colours["muted"])
+            line.append(f"  {size(one.size)}, {one.when}  ", style=colours["muted"])
+            line.append(f"{one.trouble or one.reason or one.status}\n", style=colours["muted"])
             use, tests = self._use()
             what = ", ".join(path.name.removesuffix(".mcap") for path in use)
-            line.append(f"f d x: {what}")
+            line.append("f d x: ", style=colours["muted"]).append(what)
             if tests:
                 line.append(f"; judged on {', '.join(path.name.removesuffix('.mcap') for path in tests)}")
         self.query_one("#recordings-detail", Static).update(line)

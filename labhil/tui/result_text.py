@@ -58,7 +58,7 @@ def fit_text(fit: FitPart, colours: Colours) -> RenderableType:
     head.append(f"R² {percent(score.r2)}", style=f"bold {colours['success']}")
     head.append(f" on {on}\n")
     head.append(f"RMSE {quantity(score.rmse, score.unit)}, noise floor {quantity(score.noise_floor, score.unit)}")
-    head.append(f" ({multiple(score.rmse, score.noise_floor)})\n", style=colours["muted"])
+    head.append(f" ({multiple(score.rmse, score.noise_floor)})", style=colours["muted"])
     parts: list[RenderableType] = [head, _title("Parameters", colours), parameter_table(fit.parameters, colours)]
     if fit.identifiability.rank < fit.identifiability.of:
         parts.append(_identifiability(fit, colours))
@@ -162,10 +162,12 @@ def diagnosis_text(found: DiagnosisPart, colours: Colours) -> RenderableType:
         head.append(f"▲ {fault.statement}\n", style=colours["warning"])
     if found.location is not None:
         head.append(f"{found.location.statement}\n")
+    head.rstrip()
     parts: list[RenderableType] = [head]
     if found.missing:
         parts.append(_title("What is missing", colours))
-    for item in found.missing:
+    for number, item in enumerate(found.missing):
+        parts += [Text()] if number else []
         parts.append(_missing(item, found.rivals, colours))
     if found.changed:
         parts += [_title("What has changed", colours), _changed(found)]
@@ -194,6 +196,7 @@ def _missing(item: MissingPart, rivals: Sequence[RivalPart], colours: Colours) -
             told = "can be told apart by" if rival.distinguishable else "cannot be told apart here; try"
             text.append(f"  or {keyed(rival.term, rival.joint)} ({chance(rival.probability)}), ")
             text.append(f"{told} {rival.experiment}\n", style=colours["muted"])
+    text.rstrip()
     return text
 
 
@@ -239,6 +242,7 @@ def _bars(better: ImprovementPart, colours: Colours) -> Text:
         text.append(f"{name:<7}", style=colours["muted"])
         text.append("█" * length, style=colours[colour])
         text.append(f" {multiple(value, floor)}\n")
+    text.rstrip()
     return text
 
 

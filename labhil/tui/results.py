@@ -29,6 +29,7 @@ EMPTY = """[b]No fit and no diagnosis in this folder yet.[/b]
   [b $accent]4[/] then [b $accent]f[/]   fits the chosen recording
   [b $accent]4[/] then [b $accent]d[/]   asks what physics the model leaves out"""
 
+OF_WIDTH = 25
 SIGNS = {"at work": "…", "done": "✓", "failed": "✕", "cancelled": "■"}
 
 
@@ -36,6 +37,7 @@ class ResultsPane(Vertical):
     """The list of results above, the chosen one below."""
 
     BINDINGS = [
+        Binding("g", "charts", "Charts", id="result.charts", tooltip="Text or charts, where there is no room for both"),
         Binding("c,delete", "cancel", "Cancel", id="job.cancel", tooltip="End this work; files stay as they were"),
     ]
 
@@ -59,7 +61,7 @@ class ResultsPane(Vertical):
     def on_mount(self) -> None:
         """Make the columns."""
         table = self.query_one(DataTable)
-        for key, width in (("", 2), ("kind", 9), ("of", 36), ("result", None)):
+        for key, width in (("", 2), ("kind", 9), ("of", OF_WIDTH), ("result", None)):
             table.add_column(key, key=key or "sign", width=width)
         self.refresh_list()
 
@@ -109,7 +111,7 @@ class ResultsPane(Vertical):
             yield f"job {job.number}", (
                 Text(SIGNS[job.state], style=f"bold {colours[colour]}"),
                 Text(job.task.kind),
-                Text(_shortened(names, 36)),
+                Text(_shortened(names, OF_WIDTH)),
                 Text(self._job_line(job), style=colours[colour]),
             )
         for file in self._files:
@@ -118,7 +120,7 @@ class ResultsPane(Vertical):
             yield f"file {file.path} {file.modified}", (
                 Text("✕" if bad else "✓", style=f"bold {colours['error' if bad else 'success']}"),
                 Text(file.kind),
-                Text(_shortened(file.path.name.removesuffix(".json"), 36)),
+                Text(_shortened(file.path.name.removesuffix(".json").replace(f".{file.kind}", "", 1), OF_WIDTH)),
                 Text(part if isinstance(part, str) else headline(part)),
             )
 
@@ -195,10 +197,16 @@ class ResultsPane(Vertical):
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Only what is at work can be cancelled."""
+        if action == "charts":
+            return self.screen.has_class("-narrow") and bool(self._files) if self.is_mounted else False
         if action == "cancel":
             job = self._job(self._chosen()) if self.is_mounted else None
             return job is not None and job.state == "at work"
         return True
+
+    def action_charts(self) -> None:
+        """Show the charts in the place of the text, or the text again."""
+        self.toggle_class("charts-first")
 
     def action_cancel(self) -> None:
         """End the chosen work."""
