@@ -20,6 +20,9 @@ PerRecordingOption = Annotated[
         help="What has a value of its own in each recording: terms, parameters or sizes of the rig, a,b,…",
     ),
 ]
+DeviceOption = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Which device, where a recording holds several.")
+]
 TestOption = Annotated[
     list[Path] | None, typer.Option(help="A separate recording to judge on; may be repeated.")
 ]
@@ -77,6 +80,7 @@ def fit(
         tuple[float, float] | None,
         typer.Option(metavar="FROM TO", help="Use only this stretch of every recording, s."),
     ] = None,
+    device: DeviceOption = None,
     window: Annotated[
         float | None, typer.Option(help="Length of the fitted windows, s (default: several, compared).")
     ] = None,
@@ -109,7 +113,7 @@ def fit(
     refuse_unwritable(json_path, plot, html)
     method, small = interval_method(intervals), criterion_named(criterion)
     apart = split_names(per_recording) or ()
-    material = load_material(recordings, rig, test, holdout, apart, span=span, all_of_it=True)
+    material = load_material(recordings, rig, test, holdout, apart, span=span, all_of_it=True, device=device)
     tell(material.losses())
     with status() as say:
         options = Options(window, method, simultaneous, estimator_named(estimator), seed, say, small)
@@ -135,6 +139,7 @@ def diagnose(
     baseline: Annotated[str | None, typer.Option(help="Terms that your simulation has: a,b,…")] = None,
     per_recording: PerRecordingOption = None,
     test: TestOption = None,
+    device: DeviceOption = None,
     holdout: Annotated[float, typer.Option(help="Share held out at the end; not used with --test.")] = 0.3,
     plot: Annotated[Path | None, typer.Option(help="Draw it here (PNG).")] = None,
     html: Annotated[Path | None, typer.Option(help="Write a page about it here (HTML).")] = None,
@@ -152,7 +157,7 @@ def diagnose(
     from labhil.report.text import show_diagnosis
 
     refuse_unwritable(json_path, plot, html)
-    material = load_material(recordings, rig, test, holdout, split_names(per_recording) or ())
+    material = load_material(recordings, rig, test, holdout, split_names(per_recording) or (), device=device)
     tell(material.losses())
     with status() as say:
         result = diagnose_study(material, baseline=split_names(baseline), reference=model, progress=say)
@@ -176,6 +181,7 @@ def verify(
     *,
     model: Annotated[Path, typer.Option(help="The accepted model: a fit or a diagnosis (JSON).")],
     rig: Annotated[Path | None, typer.Option(help="Rig file; default: the recording's own.")] = None,
+    device: DeviceOption = None,
     alpha: Annotated[
         float, typer.Option(help="Probability that a recording of the model itself is refused.")
     ] = 1e-3,
@@ -190,7 +196,7 @@ def verify(
 
     refuse_unwritable(json_path)
     with status() as say:
-        result = verify_study(recording, model, rig, alpha=alpha, progress=say)
+        result = verify_study(recording, model, rig, alpha=alpha, device=device, progress=say)
     tell(result.losses)
     show_verification(result.verification, results_console())
     if json_path is not None:

@@ -37,11 +37,14 @@ def import_(
 def export(
     recording: Annotated[Path, typer.Argument(help="A recording (.mcap).")],
     out: Annotated[Path, typer.Option("-o", "--out", help="The table to write (.csv).")],
+    device: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Which device, where a recording holds several.")
+    ] = None,
 ) -> None:
     """Write the samples of a recording as a table: a column t (s), then the signals in SI units."""
     from labhil.recording.export import export as write_table
     from labhil.recording.reader import read_recording
 
-    found = read_recording(recording)
+    found = read_recording(recording).of_device(device)
     tell(found.losses())
     print(write_table(found, out))

@@ -12,7 +12,8 @@ from typing import Any
 from labhil.errors import LabhilError
 from labhil.experiment.control import RunState
 from labhil.experiment.experiment import Experiment
-from labhil.service.recorder import RecordingSummary, StreamSummary
+from labhil.service.recorded import StreamSummary
+from labhil.service.recorder import RecordingSummary
 
 
 @dataclass(frozen=True, slots=True)

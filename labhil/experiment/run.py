@@ -120,7 +120,13 @@ class _Run:
 
     def _recorded(self, bus: Bus, twins: ExitStack) -> RunResult:
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        recorder = Recorder(bus, self._path, attachments=self._attachments(), metadata=self._metadata())
+        recorder = Recorder(
+            bus,
+            self._path,
+            attachments=self._attachments(),
+            metadata=self._metadata(),
+            on_failure=self._control.changed.set,
+        )
         name = f"run {self._plan.experiment.experiment.name}"
         self._devices = devices = Devices(bus, name, self._plan.duration, self._control.changed)
         error: LabhilError | None = None

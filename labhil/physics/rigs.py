@@ -122,6 +122,12 @@ def compile_kernels(kinds: tuple[str, ...] = ("ball_beam",)) -> None:
 
 def record_of(recording: Recording, kind: RigKind) -> Record:
     """Take the signals of a rig out of a recording; RecordingError says which are missing."""
+    devices = _devices_of(recording, kind)
+    if len(devices) > 1:
+        raise RecordingError(
+            f"{recording.path}: expected one device of kind {kind.name}, found {', '.join(devices)}; "
+            "choose one with --device"
+        )
     for stream in recording.streams:
         names = set(stream.stream.names())
         driven_by = next((inputs for inputs in kind.driven_by if names >= set(inputs)), None)
@@ -137,6 +143,17 @@ def record_of(recording: Recording, kind: RigKind) -> Record:
         others = [signal for signal in kind.auxiliary if signal.name in names]
         return _record(stream, inputs, outputs, others)
     raise RecordingError(f"{recording.path}: {_needed(kind)}; found {_found(recording)}")
+
+
+def _devices_of(recording: Recording, kind: RigKind) -> list[str]:
+    """Names of the devices that a model of this kind could be made of."""
+    matching = [
+        data.device
+        for data in recording.streams
+        if any(set(data.stream.names()) >= set(inputs) for inputs in kind.driven_by)
+        and any(signal.name in data.stream.names() for signal in kind.outputs)
+    ]
+    return list(dict.fromkeys(matching))
 
 
 def _record(stream: StreamData, inputs: list[Signal], outputs: list[Signal], others: list[Signal]) -> Record:

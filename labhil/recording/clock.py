@@ -15,6 +15,7 @@ import numpy as np
 from labhil.signals import FloatArray, IntArray
 
 BLOCKS = 64
+ERROR_BLOCKS = 16
 ROUNDS = 6
 OUTLIER = 4.0
 """Residuals beyond that many robust standard deviations are thrown out."""
@@ -37,6 +38,8 @@ class ClockFit:
     (shape (n,)). ``drift`` is the relative error of the device's clock (50e-6: 50 ppm fast; 0 where it
     could not be told), ``jitter`` the robust standard deviation of the host's stamps about the line, s;
     ``outliers`` how many were thrown out; ``device_clock`` whether the device's clock could be used.
+    ``offset_error`` (s, in the middle) and ``drift_error`` are standard errors from the means of blocks,
+    for what disturbs one stamp often disturbs the next; None where they could not be told.
     """
 
     t: FloatArray
@@ -44,6 +47,8 @@ class ClockFit:
     jitter: float
     outliers: int
     device_clock: bool
+    offset_error: float | None = None
+    drift_error: float | None = None
 
 
 def fit_clock(t_hw_ns: IntArray, t_acq_ns: IntArray, origin_ns: int, speed: float = 1.0) -> ClockFit:
@@ -75,7 +80,19 @@ def fit_clock(t_hw_ns: IntArray, t_acq_ns: IntArray, origin_ns: int, speed: floa
         return ClockFit(host, 0.0, 0.0, 0, device_clock=False)
     outliers = int(np.count_nonzero(~good))
     t: FloatArray = np.asarray(level + (1.0 + slope) * device, dtype=np.float64)
-    return ClockFit(t, 1.0 / (1.0 + slope) - 1.0, spread, outliers, device_clock=True)
+    errors = _errors(device[good], (delay - (level + slope * device))[good])
+    return ClockFit(t, 1.0 / (1.0 + slope) - 1.0, spread, outliers, True, *errors)
+
+
+def _errors(x: FloatArray, residual: FloatArray) -> tuple[float | None, float | None]:
+    """Standard errors of a line's level in the middle and of its slope, from the means of blocks."""
+    if len(x) < 2 * ERROR_BLOCKS:
+        return None, None
+    means = np.array([block.mean() for block in np.array_split(residual, ERROR_BLOCKS)])
+    places = np.array([block.mean() for block in np.array_split(x, ERROR_BLOCKS)])
+    spread = float(np.sqrt(means @ means / (ERROR_BLOCKS - 2)))
+    reach = float(np.sqrt(np.sum((places - places.mean()) ** 2)))
+    return spread / ERROR_BLOCKS**0.5, spread / reach if reach > 0 else None
 
 
 def _median_line(x: FloatArray, y: FloatArray) -> tuple[float, float]:

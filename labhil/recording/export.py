@@ -20,7 +20,8 @@ def exported_stream(recording: Recording) -> StreamData:
     if len(chosen) == 1:
         return chosen[0]
     found = ", ".join(f"/{data.device}/{data.stream.name}" for data in chosen) or "none with samples"
-    raise RecordingError(f"{recording.path}: expected one stream to export, found {found}")
+    hint = "; choose a device with --device" if len({data.device for data in chosen}) > 1 else ""
+    raise RecordingError(f"{recording.path}: expected one stream to export, found {found}{hint}")
 
 
 def export_csv(recording: Recording, out: Path, stream: StreamData | None = None) -> Path:

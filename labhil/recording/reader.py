@@ -15,6 +15,12 @@ from labhil.codec import Codec, stream_from_json
 from labhil.errors import ProtocolError, RecordingError, RigFileError, suggestion
 from labhil.recording.chunks import Contents, Messages, is_mcap, scan
 from labhil.recording.clock import ClockFit, fit_clock
+from labhil.recording.device_clocks import (
+    ClockOffset,
+    DeviceClock,
+    clocks_from_metadata,
+    offsets_between,
+)
 from labhil.rig import RigFile, parse_rig
 from labhil.signals import Batch, FloatArray, IntArray, Stream
 
@@ -97,6 +103,24 @@ class Recording:
     complete: bool
     damage: str = ""
 
+    def of_device(self, name: str | None) -> Recording:
+        """Return what this recording holds of one device, with that device's rig file; all of it for None.
+
+        RecordingError names the devices that are there.
+        """
+        if name is None:
+            return self
+        devices = list(dict.fromkeys(data.device for data in self.streams))
+        if name not in devices:
+            raise RecordingError(
+                f"{self.path}: expected samples of the device {name!r}{suggestion(name, devices)}; "
+                f"found: {', '.join(devices) or 'no device at all'}"
+            )
+        streams = tuple(data for data in self.streams if data.device == name)
+        own = self.attachments.get(f"rig.{name}.toml")
+        rig = self.rig if own is None else _parsed_rig(self.path, own)
+        return replace(self, streams=streams, rig=rig)
+
     def stream_with(self, *names: str) -> StreamData:
         """Return the stream that has all these signals; RecordingError says what is there otherwise."""
         found = [data for data in self.streams if set(names) <= set(data.stream.names())]
@@ -123,6 +147,16 @@ class Recording:
             for data in self.streams
             if data.lost
         ]
+
+    @property
+    def clocks(self) -> Mapping[str, DeviceClock]:
+        """How each device's clock ran against the host's, as written at the recording's end."""
+        return clocks_from_metadata(self.metadata)
+
+    @property
+    def clock_offsets(self) -> Mapping[tuple[str, str], ClockOffset]:
+        """By how much one device's clock was ahead of another's, for each pair of devices of one speed."""
+        return offsets_between(self.clocks)
 
     @property
     def duration(self) -> float:
@@ -229,8 +263,10 @@ def _timed(streams: list[StreamData], origin_ns: int) -> tuple[StreamData, ...]:
 
 def _rig(path: Path, contents: Contents) -> RigFile | None:
     text = contents.attachments.get(RIG_ATTACHMENT)
-    if text is None:
-        return None
+    return None if text is None else _parsed_rig(path, text)
+
+
+def _parsed_rig(path: Path, text: bytes) -> RigFile:
     try:
         return parse_rig(text.decode("utf-8"), path.parent / RIG_ATTACHMENT)
     except (UnicodeDecodeError, RigFileError) as error:

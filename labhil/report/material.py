@@ -82,20 +82,22 @@ def load_material(
     *,
     span: tuple[float, float] | None = None,
     all_of_it: bool = False,
+    device: str | None = None,
 ) -> Material:
     """Read one recording or several, or of each the ``span`` from … to (s), and what is to be judged on.
 
     Without ``test_path`` the last ``holdout`` of each recording is held out, after a gap of one scored
     horizon; nothing is where ``holdout`` is 0 and ``all_of_it`` allows that. The rig file is the given one,
-    or the one that the recordings carry. What ``per_recording`` names has a value in each of several
-    recordings. Raises UsageError (RecordingError, RigFileError) with what is missing.
+    or the one that the recordings carry. Of recordings of several devices ``device`` chooses one. What
+    ``per_recording`` names has a value in each of several recordings. Raises UsageError (RecordingError,
+    RigFileError) with what is missing.
     """
     if not (0.05 <= holdout <= 0.9 or (all_of_it and holdout == 0.0)):
         nothing = ", or 0 to hold nothing out" if all_of_it else ""
         raise UsageError(f"--holdout: expected a share from 0.05 to 0.9{nothing}, found {holdout:g}")
     paths, test_paths = _paths(path), _paths(test_path)
     _refuse_counts(paths, test_paths, per_recording)
-    found = [read_recording(each) for each in paths]
+    found = [read_recording(each).of_device(device) for each in paths]
     _refuse_twice(found)
     rig = common_rig(found, rig_path)
     records, measured = _measured(found, rig, span)
@@ -107,7 +109,7 @@ def load_material(
     if not test_paths:
         learn, judge = _held_out(model, measured, found, holdout)
         return Material(rig, model, learn, judge, False, measured, learning)
-    tested = [read_recording(each) for each in test_paths]
+    tested = [read_recording(each).of_device(device) for each in test_paths]
     tests, test = _measured(tested, rig, like=measured, of=found[0])
     if len(tests) > 1 and len(records) == 1:
         model = several(model, (), 1)

@@ -39,9 +39,10 @@ def verify_study(
     rig_path: Path | None = None,
     *,
     alpha: float = ALPHA,
+    device: str | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> VerificationResult:
-    """Hold a recording against the model of a fit or diagnosis file.
+    """Hold a recording, or what it holds of one ``device``, against the model of a fit or diagnosis file.
 
     Raises UsageError (RecordingError, RigFileError, ModelFileError) with what is wrong and where.
     """
@@ -49,7 +50,7 @@ def verify_study(
         raise UsageError(f"--alpha: expected a probability above 0 and below 0.5, found {alpha:g}")
     began = time.perf_counter()
     accepted = accepted_of(model_path)
-    recording = read_recording(path)
+    recording = read_recording(path).of_device(device)
     rig = rig_of(recording, rig_path)
     if accepted.rig not in (None, rig.kind.name):
         raise ModelFileError(

@@ -58,16 +58,12 @@ def press_on(bus: Bus, by: str, reason: str, expected: Collection[str]) -> Outco
 
 
 def _ask_everywhere(payload: Mapping[str, Any], connect: str | None) -> Outcome:
-    entries = running()
-    if connect is not None:
-        entries = tuple(entry for entry in entries if entry.endpoint == check_loopback(connect))
-        endpoints = [connect]
-    else:
-        endpoints = [entry.endpoint for entry in entries]
+    place = None if connect is None else check_loopback(connect)
+    entries = [entry for entry in running() if place in (None, entry.endpoint)]
     expected = {device for entry in entries for device in entry.devices}
-    if not endpoints:
+    if place is None and not entries:
         return Outcome({}, {}, ())
-    with open_bus(endpoints) as bus:
+    with open_bus(place or [entry.endpoint for entry in entries]) as bus:
         return _ask_until_all_answer(bus, payload, expected)
 
 

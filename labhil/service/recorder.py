@@ -13,7 +13,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -22,9 +22,12 @@ from labhil.bus.ask import ask
 from labhil.bus.keys import ALL_SCHEMAS, ALL_STREAMS, EVENT, SETPOINT, schema_key, split_key
 from labhil.bus.session import Bus
 from labhil.bus.subscribe import subscribe
-from labhil.codec import stamps_of, stream_from_json
+from labhil.codec import stream_from_json
 from labhil.errors import BusError, CommandRefusedError, ProtocolError, RecordingFailedError
+from labhil.recording.device_clocks import ClockWatch, DeviceClock, clocks_to_metadata
 from labhil.recording.writer import RecordingWriter
+from labhil.service.recorded import RecordedStream, StreamSummary
+from labhil.signals import Direction
 
 TICK = 0.1
 """s; how long the writer thread waits for samples before it looks at the clock."""
@@ -51,17 +54,6 @@ UNEXPLAINED = (
 
 
 @dataclass(frozen=True, slots=True)
-class StreamSummary:
-    """What was recorded of one stream; ``gaps`` counts lost samples, ``rate`` is measured, Hz."""
-
-    device: str
-    stream: str
-    samples: int
-    gaps: int
-    rate: float
-
-
-@dataclass(frozen=True, slots=True)
 class RecordingSummary:
     """What was recorded: ``duration`` in s of the host's clock, from the first sample to the last."""
 
@@ -70,50 +62,14 @@ class RecordingSummary:
     streams: tuple[StreamSummary, ...]
 
 
-@dataclass(slots=True)
-class _Channel:
-    """One stream as it comes in. ``number`` is None until its schema is known; until then it waits."""
-
-    device: str
-    stream: str
-    number: int | None = None
-    waiting: list[bytes] = field(default_factory=list)
-    asked_at: float = float("-inf")
-    trouble: str = ""
-    samples: int = 0
-    gaps: int = 0
-    refused: int = 0
-    first_ns: int = 0
-    last_ns: int = 0
-    first_seq: int = 0
-    last_seq: int = 0
-
-    def count(self, payloads: list[bytes]) -> None:
-        """Count samples that were stored, and the numbers missing between them."""
-        stamps = stamps_of(payloads)
-        seq = stamps[:, 0].tolist()
-        if self.samples == 0:
-            self.first_seq, self.first_ns, self.last_seq = seq[0], int(stamps[0, 1]), seq[0] - 1
-        for number in seq:
-            self.gaps += max(0, number - self.last_seq - 1)
-            self.last_seq = number
-        self.samples += len(payloads)
-        self.last_ns = int(stamps[-1, 1])
-
-    def summary(self) -> StreamSummary:
-        """What came of it."""
-        seconds = (self.last_ns - self.first_ns) * 1e-9
-        rate = (self.last_seq - self.first_seq) / seconds if seconds > 0 else 0.0
-        return StreamSummary(self.device, self.stream, self.samples, self.gaps, rate)
-
-
 class Recorder:
     """Records all streams and events of a bus from the moment it is made; make it before the devices.
 
     ``attachments`` maps names to whole files (the rig file as ``rig.toml``), ``metadata`` names to
     tables of strings. Raises what :class:`RecordingWriter` raises when the file cannot be made.
 
-    ``failure`` tells why the recording ended early (the disk), None while all is well.
+    ``failure`` tells why the recording ended early (the disk), None while all is well; ``on_failure`` is
+    called once it does, in the writer's thread.
     """
 
     def __init__(
@@ -123,10 +79,12 @@ class Recorder:
         *,
         attachments: Mapping[str, bytes] | None = None,
         metadata: Mapping[str, Mapping[str, str]] | None = None,
+        on_failure: Callable[[], object] = lambda: None,
     ) -> None:
         self.failure: RecordingFailedError | None = None
+        self._on_failure = on_failure
         self._bus = bus
-        self._channels: dict[str, _Channel] = {}
+        self._channels: dict[str, RecordedStream] = {}
         self._told: dict[tuple[str, str], bytes] = {}
         self._queue: queue.SimpleQueue[tuple[str, list[bytes]] | None] = queue.SimpleQueue()
         self._arrived_at = time.monotonic()
@@ -220,9 +178,11 @@ class Recorder:
             action(*args)
         except RecordingFailedError as failure:
             self.failure = failure
+            self._on_failure()
         except Exception as error:  # noqa: BLE001 - a thread that dies in silence would lose everything after it
             self._writer.abandon()
             self.failure = RecordingFailedError(f"{self._writer.part}: the recorder failed: {error!r}")
+            self._on_failure()
 
     def _take(self, key: str, payloads: list[bytes]) -> None:
         device, stream = split_key(key)
@@ -230,7 +190,7 @@ class Recorder:
             for payload in payloads:
                 self._writer.event(device, *_event(payload))
         elif stream != SETPOINT:
-            channel = self._channels.setdefault(key, _Channel(device, stream))
+            channel = self._channels.setdefault(key, RecordedStream(device, stream))
             channel.waiting.extend(payloads)
             self._store(channel)
 
@@ -242,7 +202,7 @@ class Recorder:
             self._write_status()
         self._writer.flush_when_due()
 
-    def _store(self, channel: _Channel) -> None:
+    def _store(self, channel: RecordedStream) -> None:
         """Write what waits, as soon as it is known what it is."""
         if channel.number is None:
             self._learn(channel)
@@ -255,7 +215,7 @@ class Recorder:
         except ProtocolError:
             self._store_one_by_one(channel, channel.number, payloads)
 
-    def _store_one_by_one(self, channel: _Channel, number: int, payloads: list[bytes]) -> None:
+    def _store_one_by_one(self, channel: RecordedStream, number: int, payloads: list[bytes]) -> None:
         """Among these payloads is one that is no message of the stream: keep the others."""
         for payload in payloads:
             try:
@@ -266,7 +226,7 @@ class Recorder:
                 if channel.refused == 1:
                     self._note(f"/{channel.device}/{channel.stream}: left out what is no sample: {error}")
 
-    def _learn(self, channel: _Channel) -> None:
+    def _learn(self, channel: RecordedStream) -> None:
         """Open the channel if it is known what it is; else ask, but not all the time."""
         try:
             reply = self._schema_of(channel)
@@ -274,6 +234,9 @@ class Recorder:
                 return
             stream = stream_from_json(reply["stream"])
             told = {str(name): str(value) for name, value in reply["metadata"].items()}
+            channel.speed = float(told.get("speed", "1"))
+            if any(signal.direction is not Direction.REQUESTED for signal in stream.signals):
+                channel.clock = ClockWatch()
             channel.number = self._writer.add_stream(channel.device, stream, told)
         except (
             BusError,
@@ -286,7 +249,7 @@ class Recorder:
             # its publisher may not be known here yet, or gone for good
             channel.trouble = str(error)
 
-    def _schema_of(self, channel: _Channel) -> dict[str, Any] | None:
+    def _schema_of(self, channel: RecordedStream) -> dict[str, Any] | None:
         told = self._told.get((channel.device, channel.stream))
         if told is not None:
             return dict(json.loads(told))
@@ -321,9 +284,20 @@ class Recorder:
             if channel.waiting:
                 self._keep_unexplained(channel)
         self._write_status()
+        for name, table in clocks_to_metadata(self._clocks()).items():
+            self._writer.metadata(name, table)
         self._writer.finish(exit_status, reason)
 
-    def _keep_unexplained(self, channel: _Channel) -> None:
+    def _clocks(self) -> dict[str, DeviceClock]:
+        """How each device's clock ran, by its first stream."""
+        clocks: dict[str, DeviceClock] = {}
+        for channel in self._channels.values():
+            found = channel.clock.clock(channel.speed) if channel.clock is not None else None
+            if found is not None:
+                clocks.setdefault(channel.device, found)
+        return clocks
+
+    def _keep_unexplained(self, channel: RecordedStream) -> None:
         """Attach the bytes of a stream whose schema nobody told: no sample is thrown away."""
         name = f"{channel.device}.{channel.stream}.unexplained"
         self._writer.attach(name, "application/octet-stream", b"".join(channel.waiting))

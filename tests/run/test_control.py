@@ -123,6 +123,7 @@ def test_a_pause_makes_safe_and_the_steps_go_on_where_they_were(held: Callable[[
     assert state.t[-1] - state.t[0] > 8.0 + 2.0
 
 
+@pytest.mark.extended
 def test_a_stop_is_no_failure_and_an_abort_is(held: Callable[[float], Held]) -> None:
     run = held(100.0)
     run.wait_for(RunState.RUNNING, elapsed=0.5)

@@ -19,8 +19,11 @@ import numpy as np
 import psutil
 import pytest
 
+from labhil.errors import RecordingError
 from labhil.experiment.experiment import parse_experiment
 from labhil.experiment.run import Progress, run_experiment
+from labhil.kinds import kind_named
+from labhil.physics.rigs import record_of
 from labhil.recording.reader import Recording, read_recording
 
 MARK = "LABHIL_TEST_RUN"
@@ -350,6 +353,17 @@ def test_two_devices_run_together_into_one_recording(tmp_path: Path) -> None:
     recording = read_recording(result.path)
     assert set(recording.attachments) == {"rig.toml", "rig.other.toml", "experiment.toml"}
     assert len(list(tmp_path.glob("*.twin.json"))) == 2
+    # a world that has paused on a busy machine has no steady clock
+    steady = {data.device for data in recording.streams if data.clock.offset_error is not None}
+    assert set(recording.clocks) == steady & {"bench", "other"}
+    assert all(0.0 < offset.error < 0.1 for offset in recording.clock_offsets.values())
+    with pytest.raises(RecordingError, match="found bench, other; choose one with --device"):
+        record_of(recording, kind_named("ball_beam"))
+    other = recording.of_device("other")
+    assert other.rig is not None and other.rig.known == {}
+    assert len(record_of(other, kind_named("ball_beam"))) == len(other.stream_with("ball_position"))
+    with pytest.raises(RecordingError, match="did you mean 'bench'"):
+        recording.of_device("bnch")
     assert [progress.state.value for progress in seen][:2] == ["starting", "running"]
     assert seen[-1].state.value == "finished"
     assert any(0.0 < progress.elapsed < progress.duration == 4.0 for progress in seen)

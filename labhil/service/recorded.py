@@ -1,0 +1,61 @@
+"""One stream as it comes in to the recorder: what waits, what is missing, how its device's clock runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from labhil.codec import stamps_of
+from labhil.recording.device_clocks import ClockWatch
+
+
+@dataclass(frozen=True, slots=True)
+class StreamSummary:
+    """What was recorded of one stream; ``gaps`` counts lost samples, ``rate`` is measured, Hz."""
+
+    device: str
+    stream: str
+    samples: int
+    gaps: int
+    rate: float
+
+
+@dataclass(slots=True)
+class RecordedStream:
+    """One stream as it comes in. ``number`` is None until its schema is known; until then it waits."""
+
+    device: str
+    stream: str
+    number: int | None = None
+    waiting: list[bytes] = field(default_factory=list)
+    asked_at: float = float("-inf")
+    trouble: str = ""
+    samples: int = 0
+    gaps: int = 0
+    refused: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+    first_seq: int = 0
+    last_seq: int = 0
+    speed: float = 1.0
+    clock: ClockWatch | None = None
+    """Where the device's own clock stamps the samples."""
+
+    def count(self, payloads: list[bytes]) -> None:
+        """Count samples that were stored, and the numbers missing between them."""
+        stamps = stamps_of(payloads)
+        if self.clock is not None:
+            self.clock.add(stamps[:, 1], stamps[:, 2])
+        seq = stamps[:, 0].tolist()
+        if self.samples == 0:
+            self.first_seq, self.first_ns, self.last_seq = seq[0], int(stamps[0, 1]), seq[0] - 1
+        for number in seq:
+            self.gaps += max(0, number - self.last_seq - 1)
+            self.last_seq = number
+        self.samples += len(payloads)
+        self.last_ns = int(stamps[-1, 1])
+
+    def summary(self) -> StreamSummary:
+        """What came of it."""
+        seconds = (self.last_ns - self.first_ns) * 1e-9
+        rate = (self.last_seq - self.first_seq) / seconds if seconds > 0 else 0.0
+        return StreamSummary(self.device, self.stream, self.samples, self.gaps, rate)

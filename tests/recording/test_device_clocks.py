@@ -1,0 +1,71 @@
+"""Two devices with clocks of their own: how well they are aligned, and whether the error is honest."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labhil.recording.device_clocks import (
+    LARGEST,
+    ClockWatch,
+    clocks_from_metadata,
+    clocks_to_metadata,
+    offsets_between,
+)
+
+START_NS = 1_790_000_000_000_000_000
+
+
+def stamps(rng, drift, phase, seconds=60.0, rate=100.0, late=0.03):
+    """Return (t_acq_ns, t_hw_ns): 1 ms of latency, 0.5 ms of jitter, at times 20 ms of a busy machine."""
+    true = np.arange(int(seconds * rate)) / rate
+    delay = np.maximum(0.001 + 0.0005 * rng.standard_normal(len(true)), 0.0)
+    delay += np.where(rng.random(len(true)) < late, rng.exponential(0.02, len(true)), 0.0)
+    acquired = START_NS + np.round((true + delay) * 1e9).astype(np.int64)
+    return acquired, np.round((phase + true * (1 + drift)) * 1e9).astype(np.int64)
+
+
+def watched(*args, **kwargs):
+    watch = ClockWatch()
+    acquired, device = stamps(*args, **kwargs)
+    for first in range(0, len(acquired), 7):
+        watch.add(acquired[first : first + 7], device[first : first + 7])
+    return watch.clock()
+
+
+def test_two_clocks_200_ppm_apart_are_aligned_within_the_error_that_is_told():
+    misses = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        clocks = {"a": watched(rng, 200e-6, 100.0), "b": watched(rng, 0.0, 5.0)}
+        found = offsets_between(clocks)["a", "b"]
+        elapsed = (found.t_host_ns - START_NS) * 1e-9 - 0.001  # both wires have the same latency
+        truth = 95.0 + 200e-6 * elapsed
+        assert abs(found.offset - truth) < 1e-4
+        misses.append((found.offset - truth) / found.error)
+        assert clocks["a"].drift == pytest.approx(200e-6, abs=6 * clocks["a"].drift_error)
+        assert clocks["a"].outliers > 50
+    assert 0.4 < np.std(misses) < 2.5
+
+
+def test_clocks_come_back_from_the_recordings_metadata():
+    rng = np.random.default_rng(1)
+    clocks = {"a": watched(rng, 50e-6, 0.0), "b": watched(rng, -50e-6, 1.0)}
+    tables = clocks_to_metadata(clocks)
+    assert set(tables["clock_offsets"]) == {"a - b"}
+    assert clocks_from_metadata(tables) == clocks
+    assert clocks_from_metadata({"clocks": {"a": "{}", "b": "nonsense"}}) == {}
+    assert clocks_to_metadata({}) == {}
+
+
+def test_a_long_recording_keeps_a_bounded_number_of_stamps():
+    clock = watched(np.random.default_rng(2), 50e-6, 0.0, seconds=1000.0)
+    assert LARGEST / 2 <= clock.samples <= LARGEST
+    assert clock.drift == pytest.approx(50e-6, abs=1e-6)
+
+
+def test_a_clock_that_stands_still_is_none():
+    watch = ClockWatch()
+    watch.add(START_NS + np.arange(100, dtype=np.int64), np.zeros(100, dtype=np.int64))
+    assert watch.clock() is None
+    assert ClockWatch().clock() is None
