@@ -14,25 +14,26 @@ from rich.text import Text
 from textual.app import App, ComposeResult, SystemCommand
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal
-from textual.events import Click
 from textual.screen import Screen
-from textual.widgets import DataTable, Footer, OptionList, SelectionList, Static, TabbedContent, TabPane
 from textual.widget import Widget
+from textual.widgets import DataTable, Footer, OptionList, SelectionList, Static, TabbedContent, TabPane
 
 from labhil.bus.latch import Latch
 from labhil.errors import LabhilError
 from labhil.service.emergency import Outcome
 from labhil.tui.devices import DevicesPane
 from labhil.tui.dialogs import Confirm, Tell
-from labhil.tui.experiment import ALLOWED, ExperimentPane
+from labhil.tui.experiment import ExperimentPane
 from labhil.tui.jobs import Jobs
 from labhil.tui.lab import Lab
 from labhil.tui.live import LivePane
 from labhil.tui.messages import RunSaid, ShelfRead, StartWanted, StudySaid, StudyWanted
+from labhil.tui.palette import TABS, commands
 from labhil.tui.recordings import RecordingsPane
 from labhil.tui.results import ResultsPane
 from labhil.tui.runner import Runner
 from labhil.tui.shelf import Shelf
+from labhil.tui.stop import StopButton, stop_note
 from labhil.tui.themes import DARK, LIGHT
 from labhil.tui.words import RUN_STATES
 
@@ -42,30 +43,7 @@ FACTS_INTERVAL = 0.25
 """Tables and states are brought up to date four times a second, so that silence shows within one."""
 FILES_INTERVAL = 2.0
 
-TABS = ("devices", "live", "experiment", "recordings", "results")
 ENDINGS = (signal.SIGTERM, signal.SIGHUP)
-
-
-def stop_note(standing: Latch, outcome: Outcome | None) -> Text:
-    """What the red line says: who pressed it, who is safe, and above all who did not answer."""
-    text = Text(f"■ EMERGENCY STOP at {time.strftime('%H:%M:%S', time.localtime(standing.since))}", style="bold")
-    text.append(f" by {standing.by}. ", style="not bold")
-    if outcome is not None:
-        bad = [*outcome.failed, *outcome.silent]
-        if bad:
-            text.append(f"NO PROPER ANSWER from {', '.join(bad)}: switch the power off. ", style="bold reverse")
-        if outcome.answered:
-            text.append(f"Safe: {', '.join(outcome.answered)}. ")
-    return text.append("F9 releases it.")
-
-
-class StopButton(Static):
-    """The emergency stop for who has a mouse at hand."""
-
-    def on_click(self, event: Click) -> None:
-        """Stop everything."""
-        event.stop()
-        self.app.call_later(self.app.run_action, "stop_all")
 
 
 class LabApp(App[None]):
@@ -286,6 +264,8 @@ class LabApp(App[None]):
         """Follow the run."""
         before = self.runner.state
         self.runner.take(message.line)
+        if not self.standing:
+            return
         pane = self.base.query_one(ExperimentPane)
         if "result" in message.line:
             pane.take_result(message.line["result"], message.line["error"])
@@ -311,6 +291,8 @@ class LabApp(App[None]):
         """Follow a study."""
         was = self.jobs.all[message.number].state
         job = self.jobs.take(message.number, message.line)
+        if not self.standing:
+            return
         results = self.base.query_one(ResultsPane)
         if job.state != was:
             self._tell_end(job)
@@ -342,6 +324,8 @@ class LabApp(App[None]):
 
     def _take_outcome(self, outcome: Outcome) -> None:
         self.outcome = outcome
+        if not self.standing:
+            return
         log = self.base.query_one(ExperimentPane)
         for name, state in outcome.answered.items():
             log.log_line("stop all", f"in its safe state, {state}", name)
@@ -397,7 +381,9 @@ class LabApp(App[None]):
             self.exit()
             return
         if self.runner.active:
-            question = "A run is on.\n\nStop it and quit? Devices go to their safe state, the recording is kept."
+            question = (
+                "A run is on.\n\nStop it and quit? Devices go to their safe state, the recording is kept."
+            )
         elif self.jobs.at_work:
             titles = "\n  ".join(job.title for job in self.jobs.at_work)
             question = f"Still at work:\n\n  {titles}\n\nCancel and quit?"
@@ -426,20 +412,4 @@ class LabApp(App[None]):
 
     def get_system_commands(self, screen: Screen[Any]) -> Iterable[SystemCommand]:
         """Only what makes sense now."""
-        yield SystemCommand("lab: stop all devices", "Emergency stop (F12)", self.action_stop_all)
-        if self.stopped is not None:
-            yield SystemCommand("lab: release the emergency stop", "Runs may be started again", self.action_release)
-        pane = self.base.query_one(ExperimentPane)
-        for name in ("start", "pause", "resume", "stop", "abort"):
-            if self.runner.state in ALLOWED[name] and (name != "start" or pane.plan is not None):
-                what = pane.plan.experiment.experiment.name if name == "start" and pane.plan else "the run"
-                yield SystemCommand(f"run: {name}", f"{name.capitalize()} {what}", lambda n=name: pane.action_control(n))
-        for number, name in enumerate(TABS, start=1):
-            if name != self.tab:
-                yield SystemCommand(f"show: {name}", f"Tab {number}", lambda n=name: self.action_tab(n))
-        for job in self.jobs.at_work:
-            yield SystemCommand(f"cancel: {job.title}", "Files stay as they were", lambda j=job: self.jobs.cancel(j))
-        other = "light" if self.theme == DARK.name else "dark"
-        yield SystemCommand(f"layout: {other} colours", "Change the theme", self.action_toggle_theme)
-        yield SystemCommand("help: keys", "All keys of this screen", self.action_show_help_panel)
-        yield SystemCommand("quit", "A run is ended in order first", self.action_leave)
+        return commands(self, self.base.query_one(ExperimentPane))

@@ -17,7 +17,7 @@ from labhil.tui.words import NOTHING, count, device_look, duration, frequency, m
 
 COLUMNS = (
     ("device", 10),
-    ("state", 14),
+    ("state", 13),
     ("rate", 9),
     ("gaps", 5),
     ("delay", 8),
@@ -155,9 +155,7 @@ def facts(endpoint: str, view: DeviceView) -> list[tuple[str, str]]:
         lines.append(("samples", f"{count(beat.received)} seen, {count(beat.gaps)} missing"))
     lines.append(("state", f"{view.state}: {view.reason}" if view.reason else view.state))
     told = view.metadata
-    for name in ("plugin", "address", "firmware", "serial"):
-        if told.get(name):
-            lines.append((name, told[name]))
+    lines += [(name, told[name]) for name in ("plugin", "address", "firmware", "serial") if told.get(name)]
     lines.append(("bus", endpoint))
     return lines
 

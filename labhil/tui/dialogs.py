@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 from textual.app import ComposeResult
-from textual.binding import Binding
+from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical
 from textual.screen import ModalScreen
 from textual.widgets import Button, OptionList, Static
@@ -15,7 +16,7 @@ from textual.widgets.option_list import Option
 class Confirm(ModalScreen[bool]):
     """A question with two answers; Escape is the careful one."""
 
-    BINDINGS = [
+    BINDINGS: ClassVar[list[BindingType]] = [
         Binding("y", "answer(True)", "Yes", id="confirm.yes"),
         Binding("n,escape", "answer(False)", "No", id="confirm.no"),
     ]
@@ -48,7 +49,7 @@ class Confirm(ModalScreen[bool]):
 class Choose(ModalScreen[str | None]):
     """One of several things, or none; ``choices`` are keys and what is shown."""
 
-    BINDINGS = [Binding("escape", "leave", "Cancel", id="choose.cancel")]
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("escape", "leave", "Cancel", id="choose.cancel")]
 
     def __init__(self, title: str, choices: Sequence[tuple[str, str]]) -> None:
         super().__init__()
@@ -73,7 +74,7 @@ class Choose(ModalScreen[str | None]):
 class Tell(ModalScreen[None]):
     """A text to read."""
 
-    BINDINGS = [Binding("escape,enter,q", "dismiss", "Close", id="tell.close")]
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("escape,enter,q", "dismiss", "Close", id="tell.close")]
 
     def __init__(self, title: str, text: str) -> None:
         super().__init__()

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections import deque
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from rich.text import Text
 from textual.app import ComposeResult
-from textual.binding import Binding
+from textual.binding import Binding, BindingType
 from textual.containers import Container, Horizontal, Vertical, VerticalScroll
 from textual.widgets import Button, OptionList, ProgressBar, Static
 from textual.widgets.option_list import Option
@@ -46,7 +46,7 @@ MOST_LINES = 200
 class ExperimentPane(Vertical):
     """The list of experiments, the plan of the chosen one, the run, and what happens."""
 
-    BINDINGS = [
+    BINDINGS: ClassVar[list[BindingType]] = [
         Binding("p", "control('pause')", "Pause", id="run.pause", tooltip="Devices safe, the run waits"),
         Binding("r", "control('resume')", "Resume", id="run.resume", tooltip="Go on where it was paused"),
         Binding("s", "control('stop')", "Stop", id="run.stop", tooltip="End now; what is recorded is kept"),
@@ -181,7 +181,7 @@ class ExperimentPane(Vertical):
     def log_line(self, kind: str, message: str, device: str = "", t_ns: int | None = None) -> None:
         """Add a line to what happened."""
         colours = self.app.theme_variables
-        at = datetime.now() if t_ns is None else datetime.fromtimestamp(t_ns * 1e-9)  # noqa: DTZ005, DTZ006
+        at = datetime.now() if t_ns is None else datetime.fromtimestamp(t_ns * 1e-9)
         line = Text()
         line.append(f"{at:%H:%M:%S} ", style=colours["muted"])
         line.append(f"{device or 'screen':<8.8} ", style="bold")

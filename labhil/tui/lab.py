@@ -118,9 +118,10 @@ class Lab:
         return read_latch()
 
     def stop_all(self, reason: str) -> Outcome:
-        """Press the emergency stop: every device on this machine and in reach, at once; say who did not answer.
+        """Press the emergency stop: every device on this machine and in reach, at once.
 
-        The latch is set before anybody is asked, and works without any bus.
+        The latch is set before anybody is asked, and works without any bus. The outcome says who did not
+        answer.
         """
         outcomes = [press_everywhere(BY, reason)]
         for endpoint in self._fixed:

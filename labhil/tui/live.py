@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from rich.text import Text
 from textual.app import ComposeResult
-from textual.binding import Binding
+from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical, VerticalScroll
 from textual.widgets import SelectionList, Static
 from textual.widgets.selection_list import Selection
@@ -30,7 +32,7 @@ Signals of every device on the bus appear here by themselves.
 class LivePane(Horizontal):
     """A list of signals, and a chart for each chosen one."""
 
-    BINDINGS = [
+    BINDINGS: ClassVar[list[BindingType]] = [
         Binding("p", "freeze", "Freeze", id="live.freeze", tooltip="Hold the picture still, to look around"),
         Binding("full_stop", "window(1)", "Longer", id="live.longer", tooltip="Show more of the past"),
         Binding("comma", "window(-1)", "Shorter", id="live.shorter", tooltip="Show less of the past"),
@@ -136,7 +138,7 @@ class LivePane(Horizontal):
         return title
 
     def _grown(self, key: str, values: FloatArray) -> Limits:
-        """Limits grow with the data and do not shrink by themselves: a picture that breathes cannot be read."""
+        """Limits grow with the data and do not shrink by themselves: a breathing picture cannot be read."""
         known = self._limits.get(key)
         if not values.size:
             return known or (-1.0, 1.0)

@@ -6,11 +6,12 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import ClassVar
 
 import numpy as np
 from rich.text import Text
 from textual.app import ComposeResult
-from textual.binding import Binding
+from textual.binding import Binding, BindingType
 from textual.containers import Vertical
 from textual.events import Resize
 from textual.widgets import Static
@@ -103,7 +104,7 @@ def limits_of(values: Sequence[FloatArray]) -> Limits:
 class Canvas(PlotWidget):
     """The plot itself: textual-plot with narrower margins and our ticks."""
 
-    BINDINGS = [
+    BINDINGS: ClassVar[list[BindingType]] = [
         Binding("r", "reset_scales", "Whole", id="plot.whole", tooltip="Undo zooming and panning"),
     ]
 

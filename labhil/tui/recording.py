@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from rich.text import Text
 from textual.app import ComposeResult
-from textual.binding import Binding
+from textual.binding import Binding, BindingType
 from textual.containers import VerticalScroll
 from textual.screen import Screen
 from textual.widgets import Footer, Static
@@ -27,7 +28,7 @@ ROUTINE = "status"
 class RecordingScreen(Screen[None]):
     """The channels of a recording, read in a thread."""
 
-    BINDINGS = [
+    BINDINGS: ClassVar[list[BindingType]] = [
         Binding("escape,q,backspace", "app.pop_screen", "Back", id="recording.back"),
         Binding("f12", "app.stop_all", "STOP ALL", id="recording.stop", tooltip="Emergency stop"),
     ]
@@ -86,7 +87,9 @@ def _facts(recording: Recording) -> Text:
     rig = recording.rig.kind.name if recording.rig is not None else "no rig file"
     text.append(f"{rig}, {duration(recording.duration)}")
     for data in recording.streams:
-        text.append(f"\n/{data.device}/{data.stream.name}: {count(len(data))} samples at {frequency(data.rate)}")
+        text.append(
+            f"\n/{data.device}/{data.stream.name}: {count(len(data))} samples at {frequency(data.rate)}"
+        )
         text.append(f", {count(data.lost)} lost" if data.lost else ", none lost")
     for line in recording.losses():
         text.append(f"\n▲ {line}")

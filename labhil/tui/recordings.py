@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import ClassVar
 
 from rich.text import Text
 from textual.app import ComposeResult
-from textual.binding import Binding
+from textual.binding import Binding, BindingType
 from textual.containers import Vertical
 from textual.events import Resize
 from textual.widgets import DataTable, Static
@@ -45,7 +46,7 @@ EMPTY = """[b]No recordings in this folder yet.[/b]
 class RecordingsPane(Vertical):
     """The table of recordings, with marks for those that belong together."""
 
-    BINDINGS = [
+    BINDINGS: ClassVar[list[BindingType]] = [
         Binding("enter", "open", "Open", id="rec.open", tooltip="Look at its channels and events"),
         Binding("space", "mark('+')", "Mark", id="rec.mark", tooltip="Use several together"),
         Binding("t", "mark('T')", "Test", id="rec.test", tooltip="Mark as the recording to judge on"),
@@ -64,7 +65,9 @@ class RecordingsPane(Vertical):
 
     def compose(self) -> ComposeResult:
         """The table, and what is said when there is nothing."""
-        yield Static(EMPTY.format(folder=str(self._folder.absolute()).replace("[", r"\[")), id="recordings-empty")
+        yield Static(
+            EMPTY.format(folder=str(self._folder.absolute()).replace("[", r"\[")), id="recordings-empty"
+        )
         yield DataTable(id="recordings-table", cursor_type="row", cursor_foreground_priority="renderable")
         yield Static(id="recordings-detail")
 
@@ -89,7 +92,9 @@ class RecordingsPane(Vertical):
         """Show these."""
         same = [one.path for one in shelved] == [one.path for one in self._shelved]
         self._shelved = shelved
-        self._marks = {path: mark for path, mark in self._marks.items() if any(s.path == path for s in shelved)}
+        self._marks = {
+            path: mark for path, mark in self._marks.items() if any(s.path == path for s in shelved)
+        }
         self.query_one("#recordings-empty").display = not shelved
         table = self.query_one(DataTable)
         table.display = bool(shelved)
@@ -214,5 +219,3 @@ class RecordingsPane(Vertical):
 
         names = [(str(result.path), result.path.name) for result in found]
         self.app.push_screen(Choose(f"Verify {one.path.name} against", names), go)
-
-

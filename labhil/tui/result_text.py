@@ -12,6 +12,7 @@ from rich.text import Text
 from labhil.physics.terms import keyed
 from labhil.report.html.quantity import chance, interval, multiple, p_value, percent, quantity
 from labhil.report.html.schema import (
+    ChannelErrors,
     DiagnosisPart,
     FitPart,
     ImprovementPart,
@@ -57,9 +58,15 @@ def fit_text(fit: FitPart, colours: Colours) -> RenderableType:
     head = Text()
     head.append(f"R² {percent(score.r2)}", style=f"bold {colours['success']}")
     head.append(f" on {on}\n")
-    head.append(f"RMSE {quantity(score.rmse, score.unit)}, noise floor {quantity(score.noise_floor, score.unit)}")
+    head.append(
+        f"RMSE {quantity(score.rmse, score.unit)}, noise floor {quantity(score.noise_floor, score.unit)}"
+    )
     head.append(f" ({multiple(score.rmse, score.noise_floor)})", style=colours["muted"])
-    parts: list[RenderableType] = [head, _title("Parameters", colours), parameter_table(fit.parameters, colours)]
+    parts: list[RenderableType] = [
+        head,
+        _title("Parameters", colours),
+        parameter_table(fit.parameters, colours),
+    ]
     if fit.identifiability.rank < fit.identifiability.of:
         parts.append(_identifiability(fit, colours))
     parts += [_title("Errors", colours), _scores(fit), _title("How", colours), _how(fit, colours)]
@@ -121,7 +128,7 @@ def _scores(fit: FitPart) -> Table:
     return table
 
 
-def _rows_of(score: ScorePart | None) -> Sequence[object]:
+def _rows_of(score: ScorePart | None) -> Sequence[ChannelErrors]:
     return () if score is None else score.per_channel
 
 
@@ -147,7 +154,8 @@ def _how(fit: FitPart, colours: Colours) -> Text:
 
 def _sources(part: FitPart | DiagnosisPart) -> str:
     return "\n".join(
-        f"{source.role or 'used'}: {Path(source.path).name}, {source.samples} samples" for source in part.recordings
+        f"{source.role or 'used'}: {Path(source.path).name}, {source.samples} samples"
+        for source in part.recordings
     )
 
 
@@ -235,7 +243,11 @@ def _bars(better: ImprovementPart, colours: Colours) -> Text:
     if not better.noise_floor:
         return text
     floor = better.noise_floor
-    shown = [("before", better.rmse_before, "warning"), ("after", better.rmse_after, "success"), ("noise", floor, "muted")]
+    shown = [
+        ("before", better.rmse_before, "warning"),
+        ("after", better.rmse_after, "success"),
+        ("noise", floor, "muted"),
+    ]
     for name, value, colour in shown:
         ratio = max(value or 0.0, 1e-12) / floor
         length = round(min(40.0, max(1.0, 4.0 + 12.0 * math.log10(ratio))))
@@ -249,7 +261,10 @@ def _bars(better: ImprovementPart, colours: Colours) -> Text:
 def _rest(found: DiagnosisPart, colours: Colours) -> Text:
     text = Text("\n", style=colours["muted"])
     if found.excluded:
-        shown = [f"{keyed(e.term, e.joint, e.recording)} {quantity(e.largest_hidden, e.unit, 2)}" for e in found.excluded]
+        shown = [
+            f"{keyed(e.term, e.joint, e.recording)} {quantity(e.largest_hidden, e.unit, 2)}"
+            for e in found.excluded
+        ]
         more = f" and {len(shown) - MOST_EXCLUDED} more" if len(shown) > MOST_EXCLUDED else ""
         text.append(f"Not there, or smaller than: {', '.join(shown[:MOST_EXCLUDED])}{more}.\n")
     for item in found.undecided:

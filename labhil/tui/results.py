@@ -5,11 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from rich.text import Text
 from textual.app import ComposeResult
-from textual.binding import Binding
+from textual.binding import Binding, BindingType
 from textual.containers import Container, Vertical, VerticalScroll
 from textual.widgets import DataTable, Static
 from textual.widgets.data_table import CellDoesNotExist
@@ -36,9 +37,17 @@ SIGNS = {"at work": "…", "done": "✓", "failed": "✕", "cancelled": "■"}
 class ResultsPane(Vertical):
     """The list of results above, the chosen one below."""
 
-    BINDINGS = [
-        Binding("g", "charts", "Charts", id="result.charts", tooltip="Text or charts, where there is no room for both"),
-        Binding("c,delete", "cancel", "Cancel", id="job.cancel", tooltip="End this work; files stay as they were"),
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding(
+            "g",
+            "charts",
+            "Charts",
+            id="result.charts",
+            tooltip="Text or charts, where there is no room for both",
+        ),
+        Binding(
+            "c,delete", "cancel", "Cancel", id="job.cancel", tooltip="End this work; files stay as they were"
+        ),
     ]
 
     def __init__(self, folder: Path, jobs: Jobs) -> None:
@@ -108,20 +117,30 @@ class ResultsPane(Vertical):
                 continue  # its file is in the list
             colour = {"failed": "error", "at work": "accent"}.get(job.state, "muted")
             names = job.title.partition(" ")[2]
-            yield f"job {job.number}", (
-                Text(SIGNS[job.state], style=f"bold {colours[colour]}"),
-                Text(job.task.kind),
-                Text(_shortened(names, OF_WIDTH)),
-                Text(self._job_line(job), style=colours[colour]),
+            yield (
+                f"job {job.number}",
+                (
+                    Text(SIGNS[job.state], style=f"bold {colours[colour]}"),
+                    Text(job.task.kind),
+                    Text(_shortened(names, OF_WIDTH)),
+                    Text(self._job_line(job), style=colours[colour]),
+                ),
             )
         for file in self._files:
             part = self._parts[file.path, file.modified]
             bad = isinstance(part, str)
-            yield f"file {file.path} {file.modified}", (
-                Text("✕" if bad else "✓", style=f"bold {colours['error' if bad else 'success']}"),
-                Text(file.kind),
-                Text(_shortened(file.path.name.removesuffix(".json").replace(f".{file.kind}", "", 1), OF_WIDTH)),
-                Text(part if isinstance(part, str) else headline(part)),
+            yield (
+                f"file {file.path} {file.modified}",
+                (
+                    Text("✕" if bad else "✓", style=f"bold {colours['error' if bad else 'success']}"),
+                    Text(file.kind),
+                    Text(
+                        _shortened(
+                            file.path.name.removesuffix(".json").replace(f".{file.kind}", "", 1), OF_WIDTH
+                        )
+                    ),
+                    Text(part if isinstance(part, str) else headline(part)),
+                ),
             )
 
     def _job_line(self, job: Job) -> str:
@@ -170,10 +189,14 @@ class ResultsPane(Vertical):
         text = Text(f"{SIGNS[job.state]} {job.title}\n", style="bold")
         text.append(f"{self._job_line(job)}\n\n", style="not bold")
         if job.state == "at work":
-            text.append("It works in a process of its own: go on with anything else.\n", style=colours["muted"])
+            text.append(
+                "It works in a process of its own: go on with anything else.\n", style=colours["muted"]
+            )
             text.append("c cancels it; files stay as they were.", style=colours["muted"])
         elif job.done is not None:
-            told = job.done if isinstance(job.done, str) else "\n".join(f"written: {path}" for path in job.done)
+            told = (
+                job.done if isinstance(job.done, str) else "\n".join(f"written: {path}" for path in job.done)
+            )
             text.append(told, style="not bold")
         else:
             text.append(job.said, style="not bold")

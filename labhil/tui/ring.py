@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from itertools import pairwise
 
 import numpy as np
 
@@ -80,4 +81,4 @@ def pieces(t: FloatArray, longest_step: float) -> list[slice]:
     """Where to lift the pen: runs of samples between which no step is longer than ``longest_step`` (s)."""
     breaks = np.flatnonzero(np.diff(t) > longest_step) + 1
     ends = [0, *breaks.tolist(), len(t)]
-    return [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True) if b > a]
+    return [slice(a, b) for a, b in pairwise(ends) if b > a]

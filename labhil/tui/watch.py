@@ -35,7 +35,7 @@ MEASURED_OVER = 2.0
 """Rate and delays are those of the newest samples of so many s of the host's clock."""
 
 SILENT_AFTER = 0.6
-"""A stream that sends nothing for so long is marked as silent, s; slow streams after five of their periods."""
+"""A stream that sends nothing for so long is marked as silent, s; slow streams after five periods."""
 
 ASK_INTERVAL = 0.5
 ASK_TIMEOUT = 0.5
@@ -326,5 +326,5 @@ def _view(name: str, device: _Device, now: float) -> DeviceView:
 def trace(watched: StreamWatch, signal: str, seconds: float, now_ns: int) -> tuple[FloatArray, FloatArray]:
     """The newest ``seconds`` of a signal: s before ``now_ns`` (n,), negative, and values (n, columns)."""
     t_acq, _, values = watched.ring.newest(seconds)
-    ago = (t_acq - now_ns) * 1e-9
+    ago: FloatArray = (t_acq - now_ns).astype(np.float64) * 1e-9
     return ago, values[:, watched.stream.columns_of(signal)]

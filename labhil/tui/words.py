@@ -61,7 +61,7 @@ def device_look(view: DeviceView) -> Look:
     if view.state == "gone":
         return STATES["gone"]
     if view.beat is not None and view.beat.silent:
-        return Look("◌", f"SILENT {duration(view.beat.age)}", "warning")
+        return Look("◌", f"SILENT {whole(view.beat.age)}", "warning")
     return STATES.get(view.state, Look("?", view.state, "muted"))
 
 
@@ -78,6 +78,11 @@ def duration(seconds: float | None) -> str:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes} min {rest:02d} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def whole(seconds: float) -> str:
+    """``3 s``; what is longer in minutes."""
+    return f"{seconds:.0f} s" if seconds < 100 else duration(seconds)
 
 
 def milliseconds(seconds: float | None) -> str:

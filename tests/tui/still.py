@@ -48,8 +48,16 @@ class StillLab:
         quiet = Said(NOW_NS - 2_300_000_000, "spare", "quiet", "the device sends no samples")
         run = "run two-sine-identify"
         return [
-            (ENDPOINT, DeviceView("bench", "active", "commanded", run, good, STATE, 1.0, told, (0.0312, -0.25), leased)),
-            (ENDPOINT, DeviceView("spare", "idle", "connected", None, late, STATE, 1.0, told, (0.11, 0.0), quiet)),
+            (
+                ENDPOINT,
+                DeviceView(
+                    "bench", "active", "commanded", run, good, STATE, 1.0, told, (0.0312, -0.25), leased
+                ),
+            ),
+            (
+                ENDPOINT,
+                DeviceView("spare", "idle", "connected", None, late, STATE, 1.0, told, (0.11, 0.0), quiet),
+            ),
             (ENDPOINT, DeviceView("old", "gone", "", None, None, None, 1.0, {}, (), None)),
         ]
 
@@ -66,7 +74,12 @@ class StillLab:
             Said(NOW_NS - 13_000_000_000, "run", "starting", "starting"),
             Said(NOW_NS - 12_000_000_000, "bench", "leased", "lease taken by 'run two-sine-identify'"),
             Said(NOW_NS - 12_000_000_000, "run", "running", "all devices are connected"),
-            Said(NOW_NS - 1_000_000_000, "spare", "tripped", "ball_position 0.26 m is beyond its limit of 0.24 m"),
+            Said(
+                NOW_NS - 1_000_000_000,
+                "spare",
+                "tripped",
+                "ball_position 0.26 m is beyond its limit of 0.24 m",
+            ),
         ]
 
     def stop_all(self, reason: str) -> Outcome:

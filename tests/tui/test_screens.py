@@ -1,6 +1,7 @@
-"""Every screen as a picture, at the smallest and at a large size, from fixed data and with clocks that stand.
+"""Every screen as a picture, small and large, from fixed data and with clocks that stand.
 
-``LABHIL_DRAW_SCREENS=1 pytest tests/tui/test_screens.py -m ''`` draws them anew; look at each before you keep it.
+``LABHIL_DRAW_SCREENS=1 pytest tests/tui/test_screens.py -m ''`` draws them anew; look at each of them
+before you keep it.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from labhil.tui.themes import DARK, LIGHT
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from still import NOW_NS, StillLab  # noqa: E402
+from still import NOW_NS, StillLab
 
 SCREENS = Path(__file__).parent / "screens"
 SMALL, LARGE = (80, 24), (160, 50)
