@@ -14,6 +14,7 @@ from rich.text import Text
 from textual.app import App, ComposeResult, SystemCommand
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal
+from textual.events import Event, Key
 from textual.screen import Screen
 from textual.widget import Widget
 from textual.widgets import DataTable, Footer, OptionList, SelectionList, Static, TabbedContent, TabPane
@@ -43,6 +44,7 @@ FACTS_INTERVAL = 0.25
 """Tables and states are brought up to date four times a second, so that silence shows within one."""
 FILES_INTERVAL = 2.0
 
+STOP_KEYS = ("f12", "ctrl+e")
 ENDINGS = (signal.SIGTERM, signal.SIGHUP)
 
 
@@ -52,15 +54,15 @@ class LabApp(App[None]):
     TITLE = "labhil"
     CSS_PATH = "lab.tcss"
     ENABLE_COMMAND_PALETTE = True
-    HORIZONTAL_BREAKPOINTS: ClassVar[list[tuple[int, str]] | None] = [(0, "-narrow"), (120, "-wide")]
-    VERTICAL_BREAKPOINTS: ClassVar[list[tuple[int, str]] | None] = [(0, "-low"), (36, "-high")]
+    HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (120, "-wide")]  # noqa: RUF012 - theirs is no class variable
+    VERTICAL_BREAKPOINTS = [(0, "-low"), (36, "-high")]  # noqa: RUF012
     BINDINGS: ClassVar[list[BindingType]] = [
         *[
             Binding(str(number), f"tab('{name}')", name.capitalize(), id=f"tab.{name}", show=False)
             for number, name in enumerate(TABS, start=1)
         ],
         Binding(
-            "f12,ctrl+e",
+            ",".join(STOP_KEYS),
             "stop_all",
             "STOP ALL",
             id="lab.stop",
@@ -134,6 +136,13 @@ class LabApp(App[None]):
     def _end_by_signal(self, number: int) -> None:
         self.runner.ask("stop", f"the terminal UI was ended by {signal.Signals(number).name}")
         self.exit(return_code=128 + number)
+
+    async def on_event(self, event: Event) -> None:
+        """The emergency stop comes before everything, also where a dialog holds the keys."""
+        if isinstance(event, Key) and event.key in STOP_KEYS:
+            self.action_stop_all()
+            return
+        await super().on_event(event)
 
     # what is shown
 
@@ -274,7 +283,7 @@ class LabApp(App[None]):
             pane.log_line("refused", message.line["refused"])
         if self.runner.state != before or "ended" in message.line:
             self._show_facts()
-        if "ended" in message.line and self.leaving:
+        if self.leaving and not self.runner.active:
             self.exit()
 
     # studies

@@ -48,7 +48,7 @@ def curves_of_diagnosis(result: DiagnosisResult) -> dict[str, Any]:
     # all over the same coordinate: the one along which the strongest that has any is concentrated
     common = next((regimes[0].coordinate for share in shares.values() if (regimes := share.regimes())), None)
     for key, share in shares.items():
-        name = common if common in share.units else next(iter(share.units))
+        name = common if common is not None and common in share.units else next(iter(share.units))
         x, y = np.asarray(share.coordinates[name]), np.asarray(share.values)
         step = max(1, len(x) // MOST_DOTS)
         curves[f"missing/{key}"] = y[::step].astype(np.float32)

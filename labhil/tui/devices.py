@@ -112,6 +112,8 @@ class DevicesPane(Vertical):
         known.add_column()
         for name, value in facts(endpoint, view):
             known.add_row(name, value)
+        if self._lab.trouble:
+            known.add_row(Text("▲ trouble", style=colours["warning"]), self._lab.trouble)
         if view.stream is None:
             return Group(known)
         return Group(*self._values(view), Text(), known)

@@ -35,7 +35,7 @@ class Job:
 class Jobs:
     """All studies of this screen. ``on_line`` gets (number, line) in threads of the jobs' own."""
 
-    def __init__(self, on_line: Callable[[int, dict[str, Any]], None], clock: Callable[[], float]) -> None:
+    def __init__(self, on_line: Callable[[int, dict[str, Any]], object], clock: Callable[[], float]) -> None:
         self._on_line, self._clock = on_line, clock
         self.all: list[Job] = []
 

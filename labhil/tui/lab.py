@@ -113,9 +113,17 @@ class Lab:
         return sorted(said, key=lambda event: event.t_ns)
 
     @property
+    def trouble(self) -> str:
+        """What was wrong last with what came in; empty where nothing was."""
+        return "; ".join(watch.trouble for watch in self.watches.values() if watch.trouble)
+
+    @property
     def latch(self) -> Latch | None:
-        """The emergency stop, whoever pressed it; None where none stands."""
-        return read_latch()
+        """The emergency stop, whoever pressed it; None where none stands. One that cannot be read stands."""
+        try:
+            return read_latch()
+        except (LabhilError, OSError) as error:
+            return Latch("nobody known", f"whether it stands cannot be read: {error}", 0.0)
 
     def stop_all(self, reason: str) -> Outcome:
         """Press the emergency stop: every device on this machine and in reach, at once.
@@ -144,7 +152,10 @@ class Lab:
 
     def _look_around(self) -> None:
         while not self._ending.wait(LOOK_INTERVAL):
-            told = set(self._found())
+            try:
+                told = set(self._found())
+            except (LabhilError, OSError):
+                told = set(self.watches)  # for now nothing is known of others
             for endpoint in told - set(self.watches):
                 try:
                     self._join(endpoint)

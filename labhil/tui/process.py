@@ -6,16 +6,18 @@ the screen dies, however that comes about, the end of its standard input tells s
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
 import threading
+import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from labhil.errors import BusError
 from labhil.service.child import Child
 
-OnLine = Callable[[dict[str, Any]], None]
+OnLine = Callable[[dict[str, Any]], object]
 LISTEN = 1.0
 PATIENCE = 30.0
 """How long a process that was told to end in order may take before it is made to, s."""
@@ -43,7 +45,8 @@ class Helper:
 
     def tell(self, line: Mapping[str, Any]) -> None:
         """Send a line; one that is gone does not hear it."""
-        self._child.send(json.dumps(line) + "\n")
+        with contextlib.suppress(ValueError):  # it was told to end before
+            self._child.send(json.dumps(line) + "\n")
 
     def close(self, patience: float = PATIENCE) -> None:
         """End it: in order if it can within ``patience`` s, else by force. Safe twice."""
@@ -63,7 +66,11 @@ class Helper:
             said = _parsed(line)
             if said is not None:
                 self._on_line(said)
-        status, complaint = self._child.exit_status(), self._child.complaint()
+        # its output has ended, which it does a moment before the process itself
+        deadline = time.monotonic() + LISTEN
+        while (status := self._child.exit_status()) is None and time.monotonic() < deadline:
+            time.sleep(0.01)
+        complaint = self._child.complaint()
         self._ended.set()
         self._on_line({"ended": status, "complaint": complaint.removeprefix(": ")})
 

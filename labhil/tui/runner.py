@@ -17,9 +17,10 @@ class Runner:
     The lines come back through :meth:`take`, in the thread of the screen, which owns all that is here.
     """
 
-    def __init__(self, folder: Path, on_line: Callable[[dict[str, Any]], None]) -> None:
+    def __init__(self, folder: Path, on_line: Callable[[dict[str, Any]], object]) -> None:
         self._folder, self._on_line = folder, on_line
         self._helper: Helper | None = None
+        self._number = 0
         self.state = "idle"
         self.reason = ""
         self.elapsed = 0.0
@@ -29,7 +30,7 @@ class Runner:
     @property
     def active(self) -> bool:
         """Whether a run is on, or is still being ended."""
-        return self._helper is not None and self._helper.running
+        return self._helper is not None and self._helper.running and self.state not in OVER
 
     def start(self, experiment: Path, name: str) -> None:
         """Start a run; the one before must be over."""
@@ -37,7 +38,11 @@ class Runner:
             self._helper.close()
         self.state, self.reason, self.elapsed, self.duration, self.name = "starting", "", 0.0, 0.0, name
         told = {"experiment": str(experiment.absolute()), "out": str(self._folder.absolute())}
-        self._helper = Helper("the run", "labhil.tui.running", told, self._on_line)
+        self._number += 1
+        number, on_line = self._number, self._on_line
+        self._helper = Helper(
+            "the run", "labhil.tui.running", told, lambda line: on_line({**line, "number": number})
+        )
 
     def ask(self, what: str, reason: str = "") -> None:
         """Ask for ``pause``, ``resume``, ``stop`` or ``abort``."""
@@ -45,7 +50,9 @@ class Runner:
             self._helper.tell({"do": what, "reason": reason or f"{what} in the terminal UI"})
 
     def take(self, line: dict[str, Any]) -> None:
-        """Follow what the run says."""
+        """Follow what the run says; the last words of the one before are not this one's."""
+        if line["number"] != self._number:
+            return
         if "state" in line:
             self.state, self.elapsed, self.duration = line["state"], line["elapsed"], line["duration"]
             self.reason = line["message"] or self.reason

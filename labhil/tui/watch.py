@@ -42,6 +42,9 @@ ASK_TIMEOUT = 0.5
 MOST_ROWS = 65536
 MOST_EVENTS = 200
 
+UNEXPLAINED = (ProtocolError, LookupError, AttributeError, TypeError, ValueError)
+"""A stream that is not what it says must not hide the others."""
+
 COMMAND_STREAM = "command"
 
 
@@ -216,7 +219,10 @@ class Watch:
     # what comes from the bus, in its threads
 
     def _take_schemas(self, key: str, payloads: list[bytes]) -> None:
-        self._learn(*split_key(key), json.loads(payloads[-1]))
+        try:
+            self._learn(*split_key(key), json.loads(payloads[-1]))
+        except UNEXPLAINED as error:
+            self.trouble = f"{key}: {error}"
 
     def _take(self, key: str, payloads: list[bytes]) -> None:
         device, stream = split_key(key)
@@ -231,8 +237,8 @@ class Watch:
                 return
             try:
                 watched.take(payloads, time.monotonic(), time.time_ns())
-            except ProtocolError as error:
-                self.trouble = str(error)
+            except UNEXPLAINED as error:
+                self.trouble = f"{key}: {error}"
 
     def _learn(self, device: str, stream: str, reply: Mapping[str, Any]) -> None:
         metadata = {str(name): str(value) for name, value in reply["metadata"].items()}
@@ -271,6 +277,7 @@ class Watch:
                 self.trouble = str(error)
 
     def _ask_once(self) -> None:
+        self.trouble = ""
         alive = live_devices(self.bus)
         with self._lock:
             for name in alive:
@@ -289,7 +296,7 @@ class Watch:
     def _ask_schema(self, device: str, stream: str) -> None:
         try:
             self._learn(device, stream, ask(self.bus, schema_key(device, stream), timeout=ASK_TIMEOUT))
-        except (BusError, CommandRefusedError, ProtocolError, LookupError, TypeError, ValueError) as error:
+        except (BusError, CommandRefusedError, *UNEXPLAINED) as error:
             self.trouble = f"{device}/{stream}: {error}"
 
     def _ask_status(self, name: str, device: _Device) -> None:

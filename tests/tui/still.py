@@ -29,6 +29,7 @@ class StillLab:
 
     def __init__(self, *, empty: bool = False) -> None:
         self._empty = empty
+        self.trouble = ""
         self.latch: Latch | None = None
         self._bench = StreamWatch(STATE, 1.0, {"plugin": "ball_beam"})
         n = 2000
