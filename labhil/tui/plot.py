@@ -57,11 +57,16 @@ class Ticks(NumericAxisFormatter):
         self.most = most
 
     def get_ticks(self, min_: float, max_: float, max_ticks: int = 8) -> list[float]:
-        """Return where the ticks are."""
+        """Return where the ticks are; at least two, but where the axis has no length."""
+        if not (math.isfinite(max_ - min_) and max_ > min_):
+            return []
         step = round_step((max_ - min_) / max(1, self.most))
         ticks = _multiples(step, min_, max_)
-        # a single tick says nothing of the scale
-        return ticks if len(ticks) > 1 else _multiples(round_step(step / 2.01), min_, max_)
+        for _ in range(3):
+            if len(ticks) < 2:  # a single tick says nothing of the scale
+                step = round_step(step / 2.6)
+                ticks = _multiples(step, min_, max_)
+        return ticks
 
     def get_labels_for_ticks(self, ticks: Sequence[float]) -> list[str]:
         """Return what stands at them."""
