@@ -211,12 +211,12 @@ class ResultsPane(Vertical):
             return
         text.update(result_renderable(part, colours))
         self.query_one("#result-scroll").scroll_home(animate=False)
+        charts: list[Chart] = []
         for title, curves in charts_of(part, read_curves(path)):
-            chart = Chart(classes="result-chart")
-            await area.mount(chart)
-            chart.show(title, curves)
-        if not area.children:
-            await area.mount(Static(NO_CURVES, classes="result-note"))
+            charts.append(Chart(classes="result-chart"))
+            charts[-1].show(title, curves)
+        if area.is_attached:  # the screen may be left while a thread reads
+            await area.mount_all(charts or [Static(NO_CURVES, classes="result-note")])
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Only what is at work can be cancelled."""
