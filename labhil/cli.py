@@ -17,6 +17,7 @@ from labhil.commands.files import add_files
 from labhil.commands.safety import add_safety
 from labhil.commands.studies import add_studies
 from labhil.commands.trials import add_trials
+from labhil.commands.tui import add_tui
 from labhil.errors import LabhilError
 
 app = typer.Typer(
@@ -56,5 +57,13 @@ def _labhil(
     """Bench-to-model loop: acquire, fit, diagnose."""
 
 
-for add in (add_acquisition, add_safety, add_files, add_analysis, add_trials, add_studies):
+for add in (
+    add_acquisition,
+    add_safety,
+    add_files,
+    add_analysis,
+    add_trials,
+    add_studies,
+    add_tui,
+):
     add(app)

@@ -61,6 +61,24 @@ def test_the_analysis_loads_no_bus_and_no_device(tmp_path: Path) -> None:
     assert loaded(f"import {', '.join(names)}", ACQUISITION, tmp_path) == []
 
 
+def test_neither_a_run_nor_a_fit_loads_the_terminal_ui(tmp_path: Path) -> None:
+    code = (
+        "import labhil.experiment.run, labhil.experiment.show, labhil.service.host, labhil.report.study\n"
+        "import labhil.report.text, labhil.commands.acquisition, labhil.commands.analysis\n"
+        "import labhil.commands.tui\n"
+    )
+    assert loaded(code, ("textual", "textual_plot", "labhil.tui.app"), tmp_path) == []
+
+
+def test_the_screen_loads_nothing_that_works_for_it_elsewhere(tmp_path: Path) -> None:
+    assert loaded("import labhil.tui.main", (*ANALYSIS, "labhil.experiment.run"), tmp_path) == []
+
+
+def test_what_works_for_the_screen_loads_no_screen(tmp_path: Path) -> None:
+    code = "import labhil.tui.running, labhil.tui.study, labhil.tui.curves\n"
+    assert loaded(code, ("textual", "textual_plot"), tmp_path) == []
+
+
 def test_the_command_line_itself_loads_neither(tmp_path: Path) -> None:
     assert loaded("import labhil.cli", (*ANALYSIS, *ACQUISITION, "numpy"), tmp_path) == []
 

@@ -1,0 +1,168 @@
+"""The devices on the bus: how each stands, how regularly it sends, who holds it, and what it reads now."""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+from textual.app import ComposeResult
+from textual.containers import Container, Vertical, VerticalScroll
+from textual.widgets import DataTable, Static
+
+from labhil.tui.lab import Lab
+from labhil.tui.watch import DeviceView, Said
+from labhil.tui.words import NOTHING, count, device_look, duration, frequency, milliseconds
+
+COLUMNS = (
+    ("device", 10),
+    ("state", 13),
+    ("rate", 9),
+    ("gaps", 5),
+    ("delay", 8),
+    ("held by", 21),
+    ("last event", None),
+)
+
+EMPTY = """[b]No device is on a bus here.[/b]
+
+  [b $accent]3[/] then [b $accent]Enter[/]   run the example on a simulated bench
+  [b $accent]3[/]              choose an experiment of your own
+  [b $accent]4[/]              look at recordings, fit them, diagnose them
+
+[$muted]Devices of any run on this machine appear here by themselves.[/]"""
+
+
+class DevicesPane(Vertical):
+    """A table of devices, and what the chosen one reads."""
+
+    def __init__(self, lab: Lab) -> None:
+        super().__init__(id="devices-pane")
+        self._lab = lab
+        self._shown: tuple[str, ...] = ()
+
+    def compose(self) -> ComposeResult:
+        """The table, the readings, and what is said when there is nothing."""
+        yield Static(EMPTY, id="devices-empty")
+        with Container(id="devices-split"):
+            yield DataTable(id="devices-table", cursor_type="row", zebra_stripes=False)
+            with VerticalScroll(id="device-detail", can_focus=False):
+                yield Static(id="device-readings")
+
+    def on_mount(self) -> None:
+        """Make the columns."""
+        table = self.query_one(DataTable)
+        for name, width in COLUMNS:
+            table.add_column(name, key=name, width=width)
+        self.refresh_view()
+
+    def refresh_view(self) -> None:
+        """Show things as they stand now."""
+        devices = self._lab.devices()
+        self.query_one("#devices-empty").display = not devices
+        self.query_one("#devices-split").display = bool(devices)
+        table = self.query_one(DataTable)
+        keys = tuple(f"{endpoint} {view.name}" for endpoint, view in devices)
+        rows = [self._row(view) for _, view in devices]
+        if keys != self._shown:
+            at = table.cursor_row
+            table.clear()
+            for key, row in zip(keys, rows, strict=True):
+                table.add_row(*row, key=key)
+            table.move_cursor(row=min(at, max(0, len(keys) - 1)))
+            self._shown = keys
+        else:
+            for key, row in zip(keys, rows, strict=True):
+                for (column, _), cell in zip(COLUMNS, row, strict=True):
+                    if table.get_cell(key, column) != cell:
+                        table.update_cell(key, column, cell, update_width=column == "last event")
+        if devices:
+            endpoint, view = devices[min(table.cursor_row, len(devices) - 1)]
+            self.query_one("#device-readings", Static).update(self._readings(endpoint, view))
+
+    def on_data_table_row_highlighted(self, _event: DataTable.RowHighlighted) -> None:
+        """Another device was chosen."""
+        if self._shown:
+            self.refresh_view()
+
+    def _row(self, view: DeviceView) -> list[Text]:
+        colours = self.app.theme_variables
+        beat = view.beat
+        old = view.state == "gone" or beat is None or beat.silent
+        rate = NOTHING if old or beat is None else frequency(beat.rate)
+        delay = NOTHING if old or beat is None else milliseconds(beat.transit)
+        gaps = Text(NOTHING if beat is None else count(beat.gaps))
+        if beat is not None and beat.gaps:
+            gaps.stylize(f"bold {colours['warning']}")
+        return [
+            Text(view.name, style="bold"),
+            device_look(view).text(colours),
+            Text(rate),
+            gaps,
+            Text(delay),
+            Text(view.holder or NOTHING, overflow="ellipsis"),
+            Text(NOTHING if view.event is None else said(view.event), style=colours["muted"]),
+        ]
+
+    def _readings(self, endpoint: str, view: DeviceView) -> Group:
+        colours = self.app.theme_variables
+        known = Table.grid(padding=(0, 2, 0, 0))
+        known.add_column(style=colours["muted"], no_wrap=True)
+        known.add_column()
+        for name, value in facts(endpoint, view):
+            known.add_row(name, value)
+        if self._lab.trouble:
+            known.add_row(Text("▲ trouble", style=colours["warning"]), self._lab.trouble)
+        if view.stream is None:
+            return Group(known)
+        return Group(*self._values(view), Text(), known)
+
+    def _values(self, view: DeviceView) -> tuple[Text, Table]:
+        """What it reads: as live only what is."""
+        assert view.stream is not None
+        colours = self.app.theme_variables
+        old = view.state == "gone" or view.beat is None or view.beat.silent
+        title = Text(view.name, style="bold")
+        if old:
+            age = duration(view.beat.age if view.beat else None)
+            title.append(f"  ◌ last known, {age} ago", style=colours["warning"])
+        else:
+            title.append("  ▶ now", style=colours["success"])
+        table = Table.grid(padding=(0, 2, 0, 0))
+        table.add_column(style=colours["muted"], no_wrap=True)
+        table.add_column(justify="right", no_wrap=True)
+        table.add_column(no_wrap=True)
+        table.add_column(style=colours["muted"], no_wrap=True, overflow="ellipsis")
+        values = iter(view.last)
+        for signal in view.stream.signals:
+            for column in signal.columns():
+                value = next(values, None)
+                shown = NOTHING if value is None else f"{value:+.5f}".replace("-", "−")
+                style = colours["muted"] if old else f"bold {colours['primary']}"
+                number = Text(f"({shown})" if old else shown, style=style)
+                table.add_row(column, number, signal.unit, signal.description)
+        return title, table
+
+
+def facts(endpoint: str, view: DeviceView) -> list[tuple[str, str]]:
+    """What else is known of a device, beside its samples."""
+    beat, stream = view.beat, view.stream
+    lines = []
+    if stream is not None and beat is not None:
+        speed = "" if view.speed == 1.0 else f" × {view.speed:g} (its time runs faster)"
+        lines.append(("rate", f"{frequency(beat.rate)} measured, {stream.rate:g} Hz{speed} nominal"))
+        lines.append(("delay", f"{milliseconds(beat.transit)} from acquisition to this screen"))
+        lines.append(("jitter", f"{milliseconds(beat.lateness)} between the quickest and the latest sample"))
+        lines.append(("samples", f"{count(beat.received)} seen, {count(beat.gaps)} missing"))
+    lines.append(("state", f"{view.state}: {view.reason}" if view.reason else view.state))
+    told = view.metadata
+    lines += [(name, told[name]) for name in ("plugin", "address", "firmware", "serial") if told.get(name)]
+    lines.append(("bus", endpoint))
+    return lines
+
+
+def said(event: Said) -> str:
+    """An event in one line."""
+    at = datetime.fromtimestamp(event.t_ns * 1e-9).astimezone().strftime("%H:%M:%S")
+    return f"{at} {event.kind}: {event.message}" if event.message else f"{at} {event.kind}"

@@ -1,0 +1,213 @@
+"""Choose an experiment, read what it will do, and run it: start, pause, resume, stop, abort."""
+
+from __future__ import annotations
+
+from collections import deque
+from datetime import datetime
+from pathlib import Path
+from typing import Any, ClassVar
+
+from rich.text import Text
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import Container, Horizontal, Vertical, VerticalScroll
+from textual.widgets import Button, OptionList, ProgressBar, Static
+from textual.widgets.option_list import Option
+
+from labhil.errors import LabhilError
+from labhil.experiment.experiment import TWIN, load_experiment
+from labhil.experiment.plan import Plan, make_plan
+from labhil.tui.lab import Lab
+from labhil.tui.messages import StartWanted
+from labhil.tui.runner import Runner
+from labhil.tui.shelf import ExperimentFile, experiments
+from labhil.tui.words import RUN_STATES, duration
+
+BUTTONS = (
+    ("start", "Start ⏎", "success"),
+    ("pause", "Pause p", "warning"),
+    ("resume", "Resume r", "success"),
+    ("stop", "Stop s", "primary"),
+    ("abort", "Abort a", "error"),
+)
+ALLOWED = {
+    "start": ("idle", "finished", "failed"),
+    "pause": ("running",),
+    "resume": ("paused",),
+    "stop": ("starting", "running", "paused"),
+    "abort": ("starting", "running", "paused"),
+}
+"""In which states of a run each of them makes sense."""
+
+MOST_LINES = 200
+"""Of the log; all that happens stands in the recording."""
+
+
+class ExperimentPane(Vertical):
+    """The list of experiments, the plan of the chosen one, the run, and what happens."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("p", "control('pause')", "Pause", id="run.pause", tooltip="Devices safe, the run waits"),
+        Binding("r", "control('resume')", "Resume", id="run.resume", tooltip="Go on where it was paused"),
+        Binding("s", "control('stop')", "Stop", id="run.stop", tooltip="End now; what is recorded is kept"),
+        Binding("a", "control('abort')", "Abort", id="run.abort", tooltip="End now; marked as failed"),
+    ]
+
+    def __init__(self, folder: Path, runner: Runner, lab: Lab) -> None:
+        super().__init__(id="experiment-pane")
+        self._folder, self._runner, self._lab = folder, runner, lab
+        self._files: list[ExperimentFile] = []
+        self.plan: Plan | None = None
+        self._logged_ns = 0
+        self._log: deque[Text] = deque(maxlen=MOST_LINES)
+        self._shown_state = ""
+
+    def compose(self) -> ComposeResult:
+        """The parts, from the choice to the log."""
+        with Container(id="experiment-choice"):
+            yield OptionList(id="experiment-list")
+            with VerticalScroll(id="plan-scroll"):
+                yield Static(id="plan")
+        with Horizontal(id="run-line"):
+            yield Static(id="run-state")
+            yield ProgressBar(id="run-progress", show_eta=False, show_percentage=False)
+            yield Static(id="run-elapsed")
+        with Horizontal(id="run-buttons"):
+            for name, label, variant in BUTTONS:
+                yield Button(label, id=f"run-{name}", variant=variant, compact=True)  # type: ignore[arg-type]
+            yield Static(id="run-reason")
+        with VerticalScroll(id="run-log"):
+            yield Static(id="run-log-lines")
+
+    def on_mount(self) -> None:
+        """Fill the list."""
+        self.refresh_list()
+        self.refresh_view()
+
+    def refresh_list(self) -> None:
+        """Look for experiment files anew."""
+        found = experiments(self._folder)
+        if found == self._files:
+            return
+        self._files = found
+        options = self.query_one(OptionList)
+        options.clear_options()
+        own = [file for file in found if not file.packaged]
+        muted = self.app.theme_variables["muted"]
+        if own:
+            options.add_option(Option(Text("in this folder", style=f"italic {muted}"), disabled=True))
+        for index, file in enumerate(found):
+            if file.packaged and (index == 0 or not found[index - 1].packaged):
+                options.add_option(Option(Text("examples, simulated", f"italic {muted}"), disabled=True))
+            options.add_option(Option(f"  {file.name}", id=str(index)))
+        options.highlighted = 1 if found else None
+
+    def on_option_list_option_highlighted(self, event: OptionList.OptionHighlighted) -> None:
+        """Show the plan of the chosen experiment."""
+        if event.option.id is not None:
+            self._show_plan(self._files[int(event.option.id)])
+
+    def on_option_list_option_selected(self, event: OptionList.OptionSelected) -> None:
+        """Enter starts it."""
+        if event.option.id is not None:
+            self.action_control("start")
+
+    def on_button_pressed(self, event: Button.Pressed) -> None:
+        """A button does what its key does."""
+        event.stop()
+        self.action_control((event.button.id or "").removeprefix("run-"))
+
+    def action_control(self, name: str) -> None:
+        """Start, pause, resume, stop or abort."""
+        if self._runner.state not in ALLOWED[name]:
+            return
+        if name != "start":
+            self._runner.ask(name)
+        elif self.plan is not None:
+            self.post_message(StartWanted(str(self.plan.experiment.path)))
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Only keys that do something now are shown."""
+        if action == "control":
+            return self._runner.state in ALLOWED[str(parameters[0])]
+        return True
+
+    def moves_hardware(self) -> list[str]:
+        """The addresses of real devices that the chosen experiment would move."""
+        if self.plan is None:
+            return []
+        return [d.section.address for d in self.plan.devices if d.section.address != TWIN]
+
+    def _show_plan(self, file: ExperimentFile) -> None:
+        colours = self.app.theme_variables
+        text = Text()
+        try:
+            self.plan = make_plan(load_experiment(file.path))
+        except LabhilError as error:
+            self.plan = None
+            text.append("✕ cannot be run\n", style=f"bold {colours['error']}")
+            text.append(str(error))
+        else:
+            text.append_text(plan_text(self.plan, colours))
+        place = f"comes with labhil as {file.path.name}" if file.packaged else str(file.path)
+        text.append(f"\n\n{place}", style=colours["muted"])
+        self.query_one("#plan", Static).update(text)
+
+    # the run
+
+    def refresh_view(self) -> None:
+        """Show how far the run is, and what was announced since."""
+        runner, colours = self._runner, self.app.theme_variables
+        self.query_one("#run-state", Static).update(RUN_STATES[runner.state].text(colours))
+        bar = self.query_one(ProgressBar)
+        bar.update(total=max(runner.duration, 1e-9), progress=runner.elapsed)
+        over = runner.duration > 0
+        elapsed = f"{runner.elapsed:.1f} of {duration(runner.duration)}" if over else ""
+        self.query_one("#run-elapsed", Static).update(elapsed)
+        self.query_one("#run-reason", Static).update(Text(runner.reason, style=colours["muted"]))
+        self._log_events()
+        if runner.state != self._shown_state:
+            self._shown_state = runner.state
+            for name, _, _ in BUTTONS:
+                self.query_one(f"#run-{name}", Button).disabled = runner.state not in ALLOWED[name]
+            self.refresh_bindings()
+
+    def _log_events(self) -> None:
+        events = [event for event in self._lab.events() if event.t_ns > self._logged_ns]
+        for event in events:
+            self._logged_ns = event.t_ns
+            self.log_line(event.kind, event.message, event.device, event.t_ns)
+
+    def log_line(self, kind: str, message: str, device: str = "", t_ns: int | None = None) -> None:
+        """Add a line to what happened."""
+        colours = self.app.theme_variables
+        at = datetime.now() if t_ns is None else datetime.fromtimestamp(t_ns * 1e-9)
+        line = Text()
+        line.append(f"{at:%H:%M:%S} ", style=colours["muted"])
+        line.append(f"{device or 'screen':<8.8} ", style="bold")
+        bad = kind in ("tripped", "failed", "watchdog", "refused", "aborting", "stop all")
+        sign = "▲ " if bad else ""
+        line.append(f"{sign}{kind}", style=colours["error" if bad else "primary"])
+        line.append(f"  {message}")
+        self._log.append(line)
+        self.query_one("#run-log-lines", Static).update(Text("\n").join(self._log))
+        self.query_one("#run-log").scroll_end(animate=False)
+
+    def take_result(self, result: dict[str, Any] | None, error: str | None) -> None:
+        """Log what came of a run."""
+        if error:
+            self.log_line("failed", error)
+        if result is not None and result["path"] is not None:
+            self.log_line("recorded", f"{result['path']}  (4 shows it)")
+
+
+def plan_text(plan: Plan, colours: dict[str, str]) -> Text:
+    """What ``labhil run --dry-run`` says, with what to mind first."""
+    text = Text()
+    for warning in plan.warnings():
+        text.append(f"▲ {warning}\n", style=colours["warning"])
+    first, *rest = plan.describe().splitlines()
+    text.append(f"{first}\n", style="bold")
+    notes = {f"  note: {warning}" for warning in plan.warnings()}
+    text.append("\n".join(line for line in rest if line not in notes))
+    return text

@@ -1,0 +1,78 @@
+"""Studies at work: one process each, several may run, each can be cancelled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from labhil.tui.process import Helper
+from labhil.tui.study import Task
+
+CANCEL_PATIENCE = 1.0
+MODULE = "labhil.tui.study"
+
+
+@dataclass(slots=True)
+class Job:
+    """One study. ``state`` is "at work", "done", "failed" or "cancelled"; ``said`` its newest line."""
+
+    number: int
+    task: Task
+    helper: Helper
+    started: float
+    state: str = "at work"
+    said: str = "starting"
+    done: Any = None
+
+    @property
+    def title(self) -> str:
+        """What it is, for a person."""
+        return self.task.title
+
+
+class Jobs:
+    """All studies of this screen. ``on_line`` gets (number, line) in threads of the jobs' own."""
+
+    def __init__(self, on_line: Callable[[int, dict[str, Any]], object], clock: Callable[[], float]) -> None:
+        self._on_line, self._clock = on_line, clock
+        self.all: list[Job] = []
+
+    def start(self, task: Task) -> Job:
+        """Start a study."""
+        number = len(self.all)
+        helper = Helper(task.title, MODULE, task.to_json(), partial(self._on_line, number))
+        self.all.append(Job(number, task, helper, self._clock()))
+        return self.all[-1]
+
+    @property
+    def at_work(self) -> list[Job]:
+        """Those that are not over."""
+        return [job for job in self.all if job.state == "at work"]
+
+    def take(self, number: int, line: dict[str, Any]) -> Job:
+        """Follow what a job says; called in the screen's thread."""
+        job = self.all[number]
+        if job.state != "at work":
+            return job
+        if "progress" in line:
+            job.said = str(line["progress"])
+        elif "done" in line:
+            job.state, job.done, job.said = "done", line["done"], "done"
+        elif "failed" in line:
+            job.state, job.said = "failed", str(line["failed"])
+        elif "ended" in line:
+            job.state, job.said = "failed", line["complaint"] or f"its process ended with {line['ended']}"
+        return job
+
+    def cancel(self, job: Job) -> None:
+        """End a study; files are as they were before, or whole."""
+        if job.state == "at work":
+            job.state, job.said = "cancelled", "cancelled; nothing was changed"
+            job.helper.close(CANCEL_PATIENCE)
+
+    def close(self) -> None:
+        """End all of them."""
+        for job in self.all:
+            job.helper.close(CANCEL_PATIENCE)

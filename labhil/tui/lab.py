@@ -1,0 +1,193 @@
+"""Every bus in reach: found again and again, watched, and brought to safety all at once."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+from labhil.bus.latch import Latch, read_latch
+from labhil.bus.register import running
+from labhil.bus.session import open_bus
+from labhil.errors import LabhilError
+from labhil.service.emergency import Outcome, press_everywhere, press_on, release_everywhere
+from labhil.signals import Signal
+from labhil.tui.watch import DeviceView, Said, StreamWatch, Watch
+
+LOOK_INTERVAL = 0.5
+FORGET_AFTER = 3
+"""A bus that is no longer told of, and has no device any more, is left after so many looks."""
+
+BY = "the terminal UI"
+
+Endpoints = Callable[[], Iterable[str]]
+
+
+def registered_buses() -> list[str]:
+    """Endpoints of the buses on this machine: of whoever leads one, and of hosts that nobody leads."""
+    entries = running()
+    leaders = [entry for entry in entries if entry.kind != "host"]
+    led = {device for entry in leaders for device in entry.devices}
+    alone = [entry for entry in entries if entry.kind == "host" and not led.intersection(entry.devices)]
+    return [entry.endpoint for entry in (*leaders, *alone)]
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a signal comes from."""
+
+    endpoint: str
+    device: str
+    stream: str
+    signal: Signal
+
+    @property
+    def key(self) -> str:
+        """A name of its own."""
+        return f"{self.endpoint} {self.device} {self.stream} {self.signal.name}"
+
+
+class Lab:
+    """Watches the buses at ``fixed`` endpoints and at those that ``found`` tells of.
+
+    Raises BusError where nobody listens at a fixed endpoint.
+    """
+
+    def __init__(self, fixed: Iterable[str] = (), found: Endpoints = registered_buses) -> None:
+        self._fixed, self._found = tuple(fixed), found
+        self._watches: dict[str, Watch] = {}
+        self._missed: dict[str, int] = {}
+        self._stacks: dict[str, ExitStack] = {}
+        self._lock = threading.Lock()
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._look_around, name="look for buses")
+
+    def __enter__(self) -> Self:
+        try:
+            for endpoint in self._fixed:
+                self._join(endpoint)
+        except BaseException:
+            self._leave_all()
+            raise
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ending.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        self._leave_all()
+
+    @property
+    def watches(self) -> dict[str, Watch]:
+        """The buses that are watched, by their endpoints."""
+        with self._lock:
+            return dict(self._watches)
+
+    def devices(self) -> list[tuple[str, DeviceView]]:
+        """Every device in reach, with the endpoint of its bus."""
+        return [(place, view) for place, watch in self.watches.items() for view in watch.devices()]
+
+    def places(self) -> list[Place]:
+        """Every signal in reach."""
+        return [
+            Place(endpoint, device, stream, signal)
+            for endpoint, watch in self.watches.items()
+            for device, stream, signal in watch.signals()
+        ]
+
+    def stream(self, place: Place) -> StreamWatch | None:
+        """The stream that a signal stands in, None when its bus is gone."""
+        watch = self.watches.get(place.endpoint)
+        return None if watch is None else watch.stream(place.device, place.stream)
+
+    def events(self) -> list[Said]:
+        """What was announced, the oldest first."""
+        said = [event for watch in self.watches.values() for event in watch.events.copy()]
+        return sorted(said, key=lambda event: event.t_ns)
+
+    @property
+    def trouble(self) -> str:
+        """What was wrong last with what came in; empty where nothing was."""
+        return "; ".join(watch.trouble for watch in self.watches.values() if watch.trouble)
+
+    @property
+    def latch(self) -> Latch | None:
+        """The emergency stop, whoever pressed it; None where none stands. One that cannot be read stands."""
+        try:
+            return read_latch()
+        except (LabhilError, OSError) as error:
+            return Latch("nobody known", f"whether it stands cannot be read: {error}", 0.0)
+
+    def stop_all(self, reason: str) -> Outcome:
+        """Press the emergency stop: every device on this machine and in reach, at once.
+
+        The latch is set before anybody is asked, and works without any bus. The outcome says who did not
+        answer.
+        """
+        outcomes = [press_everywhere(BY, reason)]
+        for endpoint in self._fixed:
+            watch = self.watches.get(endpoint)
+            if watch is not None:
+                expected = [view.name for view in watch.devices() if view.state != "gone"]
+                outcomes.append(press_on(watch.bus, BY, reason, expected))
+        answered = {name: state for outcome in outcomes for name, state in outcome.answered.items()}
+        failed = {name: why for outcome in outcomes for name, why in outcome.failed.items()}
+        silent = {name for outcome in outcomes for name in outcome.silent} - answered.keys()
+        return Outcome(answered, failed, tuple(sorted(silent)))
+
+    def release(self) -> None:
+        """Release the emergency stop everywhere; nothing moves by that."""
+        release_everywhere()
+        for endpoint in self._fixed:
+            release_everywhere(endpoint)
+
+    # the thread that looks around
+
+    def _look_around(self) -> None:
+        while not self._ending.wait(LOOK_INTERVAL):
+            try:
+                told = set(self._found())
+            except (LabhilError, OSError):
+                told = set(self.watches)  # for now nothing is known of others
+            for endpoint in told - set(self.watches):
+                try:
+                    self._join(endpoint)
+                except LabhilError:
+                    continue  # it ended between its note and our knock
+            for endpoint in set(self.watches) - told - set(self._fixed):
+                self._leave_when_empty(endpoint)
+
+    def _join(self, endpoint: str) -> None:
+        with ExitStack() as stack:
+            watch = Watch(stack.enter_context(open_bus(endpoint)))
+            stack.enter_context(watch)
+            with self._lock:
+                self._watches[endpoint], self._missed[endpoint] = watch, 0
+                self._stacks[endpoint] = stack.pop_all()
+
+    def _leave_when_empty(self, endpoint: str) -> None:
+        self._missed[endpoint] += 1
+        if self._missed[endpoint] >= FORGET_AFTER and not self.watches[endpoint].alive:
+            self._leave(endpoint)
+
+    def _leave(self, endpoint: str) -> None:
+        with self._lock:
+            self._watches.pop(endpoint, None)
+            stack = self._stacks.pop(endpoint)
+        stack.close()
+
+    def _leave_all(self) -> None:
+        for endpoint in list(self._stacks):
+            self._leave(endpoint)
+
+
+def clock_ns() -> int:
+    """Unix time, ns; the one place that a test with a frozen clock replaces."""
+    return time.time_ns()

@@ -1,0 +1,186 @@
+"""Live plots: the chosen signals, drawn from the newest samples of their rings."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from rich.text import Text
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import Horizontal, Vertical, VerticalScroll
+from textual.widgets import SelectionList, Static
+from textual.widgets.selection_list import Selection
+
+from labhil.signals import Direction, FloatArray
+from labhil.tui import lab as labs
+from labhil.tui.lab import Lab, Place
+from labhil.tui.plot import PENS, Chart, Curve, Limits, limits_of
+from labhil.tui.themes import CURVES
+from labhil.tui.watch import trace
+from labhil.tui.words import duration
+
+WINDOWS = (2.0, 5.0, 10.0, 20.0, 60.0)
+MOST_CHARTS = 6
+MOST_CURVES = 6
+
+EMPTY = """[b]Nothing to plot yet.[/b]
+
+Signals of every device on the bus appear here by themselves.
+[b $accent]3[/] then [b $accent]Enter[/] runs the example on a simulated bench."""
+
+
+class LivePane(Horizontal):
+    """A list of signals, and a chart for each chosen one."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("p", "freeze", "Freeze", id="live.freeze", tooltip="Hold the picture still, to look around"),
+        Binding("full_stop", "window(1)", "Longer", id="live.longer", tooltip="Show more of the past"),
+        Binding("comma", "window(-1)", "Shorter", id="live.shorter", tooltip="Show less of the past"),
+        Binding("y", "rescale", "Fit y", id="live.rescale", tooltip="Limits from what is shown now"),
+        Binding("l", "list", "Signals", id="live.list", tooltip="Show or hide the list of signals"),
+    ]
+
+    def __init__(self, lab: Lab) -> None:
+        super().__init__(id="live-pane")
+        self._lab = lab
+        self._places: dict[str, Place] = {}
+        self._charts: dict[str, Chart] = {}
+        self._limits: dict[str, Limits] = {}
+        self._window = 2
+        self.frozen = False
+
+    def compose(self) -> ComposeResult:
+        """The list, the state, the charts."""
+        yield SelectionList[str](id="live-signals")
+        with Vertical(id="live-main"):
+            yield Static(id="live-state")
+            yield Static(EMPTY, id="live-empty")
+            yield VerticalScroll(id="live-charts", can_focus=False)
+
+    @property
+    def window(self) -> float:
+        """How much of the past is shown, s."""
+        return WINDOWS[self._window]
+
+    def refresh_list(self) -> None:
+        """Take up signals that appeared, and drop those that are gone."""
+        places = {place.key: place for place in self._lab.places()}
+        if places.keys() == self._places.keys():
+            return
+        listed = self.query_one(SelectionList)
+        chosen = set(listed.selected)
+        new = [place for key, place in places.items() if key not in self._places]
+        self._places = places
+        listed.clear_options()
+        several = len({(place.endpoint, place.device) for place in places.values()}) > 1
+        chosen |= {place.key for place in _first_choice(new)}
+        for key, place in places.items():
+            name = f"{place.device} {place.signal.name}" if several else place.signal.name
+            listed.add_option(Selection(f"{name}, {place.signal.unit}", key, key in chosen))
+        self.call_after_refresh(self._choose)
+
+    def on_selection_list_selected_changed(self, _event: SelectionList.SelectedChanged[str]) -> None:
+        """Other signals were chosen."""
+        self.call_after_refresh(self._choose)
+
+    async def _choose(self) -> None:
+        listed = self.query_one(SelectionList)
+        chosen = [key for key in self._places if key in set(listed.selected)][:MOST_CHARTS]
+        if chosen == list(self._charts):
+            return
+        area = self.query_one("#live-charts")
+        await area.remove_children()
+        self._charts = {key: Chart(classes="live-chart") for key in chosen}
+        await area.mount_all(self._charts.values())
+        self.draw()
+
+    def draw(self) -> None:
+        """Draw the newest, unless the picture is held."""
+        self._say()
+        if self.frozen:
+            return
+        now_ns = labs.clock_ns()
+        for number, (key, chart) in enumerate(self._charts.items()):
+            self._draw_one(chart, self._places[key], now_ns, number)
+
+    def _draw_one(self, chart: Chart, place: Place, now_ns: int, number: int) -> None:
+        watched = self._lab.stream(place)
+        if watched is None:
+            return
+        ago, values = trace(watched, place.signal.name, self.window, now_ns)
+        shown = ago >= -self.window
+        ago, values = ago[shown], values[shown]
+        limits = self._grown(place.key, values)
+        gap = 5.0 / (watched.stream.rate * watched.speed)
+        names = place.signal.columns()[:MOST_CURVES]
+        curves = [
+            Curve(
+                ago,
+                values[:, i],
+                f"curve-{(number + i) % CURVES}",
+                PENS[i // 2 % len(PENS)],
+                name if len(names) > 1 else "",
+                max(gap, 0.05),
+            )
+            for i, name in enumerate(names)
+        ]
+        chart.show(self._title(place, ago, values, number), curves, (-self.window, 0.0), limits)
+
+    def _title(self, place: Place, ago: FloatArray, values: FloatArray, number: int) -> Text:
+        colours = self.app.theme_variables
+        title = Text(no_wrap=True, overflow="ellipsis")
+        title.append(place.signal.name, style=f"bold {colours[f'curve-{number % CURVES}']}")
+        title.append(f" of {place.device}, {place.signal.unit}", style=colours["muted"])
+        if not len(ago) or ago[-1] < -1.0:
+            title.append("   ◌ nothing comes in", style=f"bold {colours['warning']}")
+        elif values.shape[1] == 1:
+            title.append(f"   {values[-1, 0]:+.4f}".replace("-", "−"), style="bold")
+        return title
+
+    def _grown(self, key: str, values: FloatArray) -> Limits:
+        """Limits grow with the data and do not shrink by themselves: a breathing picture cannot be read."""
+        known = self._limits.get(key)
+        if not values.size:
+            return known or (-1.0, 1.0)
+        low, high = limits_of([values])
+        if known is not None:
+            low, high = min(low, known[0]), max(high, known[1])
+        self._limits[key] = (low, high)
+        return low, high
+
+    def _say(self) -> None:
+        colours = self.app.theme_variables
+        self.query_one("#live-empty").display = not self._places
+        line = Text(no_wrap=True, overflow="ellipsis")
+        if self.frozen:
+            line.append("‖ FROZEN ", style=f"bold {colours['warning']}")
+            line.append("the recording goes on; p goes on here, arrows and + − look around", colours["muted"])
+        elif self._places:
+            line.append(f"▶ the last {duration(self.window)}", style="bold")
+            line.append(f", {len(self._charts)} of {len(self._places)} signals", style=colours["muted"])
+        self.query_one("#live-state", Static).update(line)
+
+    def action_freeze(self) -> None:
+        """Hold the picture, or go on."""
+        self.frozen = not self.frozen
+        self.draw()
+
+    def action_window(self, change: int) -> None:
+        """Show more or less of the past."""
+        self._window = min(max(self._window + change, 0), len(WINDOWS) - 1)
+        self.draw()
+
+    def action_rescale(self) -> None:
+        """Take the limits from what is shown now."""
+        self._limits.clear()
+        self.draw()
+
+    def action_list(self) -> None:
+        """Show or hide the list of signals."""
+        self.toggle_class("list-toggled")
+
+
+def _first_choice(places: list[Place]) -> list[Place]:
+    """What is plotted without being asked: measurements and what acts, of the first device's first stream."""
+    wanted = [p for p in places if p.signal.direction in (Direction.OUTPUT, Direction.INPUT)]
+    return sorted(wanted, key=lambda place: place.signal.direction is not Direction.OUTPUT)[:3]

@@ -1,0 +1,28 @@
+"""From the command to the screen, and back without leaving anything behind."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from labhil.errors import UsageError
+from labhil.tui.app import LabApp
+from labhil.tui.lab import Lab
+from labhil.tui.themes import DARK, LIGHT
+
+
+def run_tui(folder: Path, connect: Iterable[str], *, light: bool = False) -> int:
+    """Show the screen until it is left; returns the exit status.
+
+    Raises UsageError where there is no such folder, BusError where nobody listens at an endpoint. However
+    the screen ends, a run that it started is ended in order.
+    """
+    if not folder.is_dir():
+        raise UsageError(f"{folder}: expected a folder for recordings, found none")
+    with Lab(tuple(connect)) as lab:
+        app = LabApp(folder, lab, theme=LIGHT.name if light else DARK.name)
+        try:
+            app.run()
+        finally:
+            app.close_everything()
+    return app.return_code or 0

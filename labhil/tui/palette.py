@@ -1,0 +1,41 @@
+"""The command palette: only what makes sense now, each named after what it acts on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from typing import TYPE_CHECKING
+
+from textual.app import SystemCommand
+
+from labhil.tui.experiment import ALLOWED, ExperimentPane
+from labhil.tui.themes import DARK
+
+if TYPE_CHECKING:
+    from labhil.tui.app import LabApp
+
+TABS = ("devices", "live", "experiment", "recordings", "results")
+
+
+def commands(app: LabApp, pane: ExperimentPane) -> Iterator[SystemCommand]:
+    """What can be done now."""
+    yield SystemCommand("lab: stop all devices", "Emergency stop (F12)", app.action_stop_all)
+    if app.stopped is not None:
+        yield SystemCommand(
+            "lab: release the emergency stop", "Runs may be started again", app.action_release
+        )
+    for name in ("start", "pause", "resume", "stop", "abort"):
+        if app.runner.state in ALLOWED[name] and (name != "start" or pane.plan is not None):
+            what = pane.plan.experiment.experiment.name if name == "start" and pane.plan else "the run"
+            yield SystemCommand(
+                f"run: {name}", f"{name.capitalize()} {what}", partial(pane.action_control, name)
+            )
+    for number, name in enumerate(TABS, start=1):
+        if name != app.tab:
+            yield SystemCommand(f"show: {name}", f"Tab {number}", partial(app.action_tab, name))
+    for job in app.jobs.at_work:
+        yield SystemCommand(f"cancel: {job.title}", "Files stay as they were", partial(app.jobs.cancel, job))
+    other = "light" if app.theme == DARK.name else "dark"
+    yield SystemCommand(f"layout: {other} colours", "Change the theme", app.action_toggle_theme)
+    yield SystemCommand("help: keys", "All keys of this screen", app.action_show_help_panel)
+    yield SystemCommand("quit", "A run is ended in order first", app.action_leave)

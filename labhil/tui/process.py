@@ -1,0 +1,109 @@
+"""A process that works for the screen: lines of JSON out, lines of JSON in, gone when it is not needed.
+
+What takes long or must not be disturbed (a run, a fit) never happens in the process of the screen. Where
+the screen dies, however that comes about, the end of its standard input tells such a process to end.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from labhil.errors import BusError
+from labhil.service.child import Child
+
+OnLine = Callable[[dict[str, Any]], object]
+LISTEN = 1.0
+PATIENCE = 30.0
+"""How long a process that was told to end in order may take before it is made to, s."""
+
+
+class Helper:
+    """``python -m module`` with what it is told in its first line.
+
+    ``on_line`` gets each line that it says, in a thread of its own; the last is ``{"ended": status}``
+    with ``complaint``, the end of what it wrote to stderr.
+    """
+
+    def __init__(self, name: str, module: str, told: Mapping[str, Any], on_line: OnLine) -> None:
+        self._on_line = on_line
+        self._child = Child(name, [sys.executable, "-P", "-m", module])
+        self.tell(told)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._listen, name=f"listen to {name}")
+        self._thread.start()
+
+    @property
+    def running(self) -> bool:
+        """Whether it has not ended yet."""
+        return not self._ended.is_set()
+
+    def tell(self, line: Mapping[str, Any]) -> None:
+        """Send a line; one that is gone does not hear it."""
+        with contextlib.suppress(ValueError):  # it was told to end before
+            self._child.send(json.dumps(line) + "\n")
+
+    def close(self, patience: float = PATIENCE) -> None:
+        """End it: in order if it can within ``patience`` s, else by force. Safe twice."""
+        self._child.close_input()
+        self._ended.wait(patience)
+        self._child.stop()
+        self._thread.join()
+
+    def _listen(self) -> None:
+        while True:
+            try:
+                line = self._child.line(LISTEN)
+            except BusError:  # it has nothing to say for the moment
+                continue
+            if line is None:
+                break
+            said = _parsed(line)
+            if said is not None:
+                self._on_line(said)
+        # its output has ended, which it does a moment before the process itself
+        deadline = time.monotonic() + LISTEN
+        while (status := self._child.exit_status()) is None and time.monotonic() < deadline:
+            time.sleep(0.01)
+        complaint = self._child.complaint()
+        self._ended.set()
+        self._on_line({"ended": status, "complaint": complaint.removeprefix(": ")})
+
+
+def say(line: Mapping[str, Any]) -> None:
+    """Write a line for the screen, from within a helper; a screen that is gone does not read it."""
+    try:
+        print(json.dumps(line, allow_nan=False), flush=True)
+    except OSError:
+        return
+
+
+def told_first() -> dict[str, Any]:
+    """What a helper is told in its first line."""
+    return dict(json.loads(sys.stdin.readline()))
+
+
+def on_further_lines(take: OnLine, end: Callable[[], None]) -> None:
+    """In a helper: call ``take`` with each further line, and ``end`` when there will be none."""
+
+    def listen() -> None:
+        for line in sys.stdin:
+            said = _parsed(line)
+            if said is not None:
+                take(said)
+        end()
+
+    threading.Thread(target=listen, name="listen to the screen", daemon=True).start()
+
+
+def _parsed(line: str) -> dict[str, Any] | None:
+    try:
+        said = json.loads(line)
+    except ValueError:
+        return None
+    return said if isinstance(said, dict) else None

@@ -1,0 +1,129 @@
+"""A recording looked into: every channel drawn, and what happened."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from rich.text import Text
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import VerticalScroll
+from textual.screen import Screen
+from textual.widgets import Footer, Static
+
+from labhil.errors import LabhilError
+from labhil.recording.reader import Recording, StreamData, read_recording
+from labhil.tui.plot import PENS, Chart, Curve
+from labhil.tui.shelf import how_it_ended
+from labhil.tui.themes import CURVES
+from labhil.tui.words import count, duration, ended_look, frequency
+
+MOST_EVENTS = 40
+ROUTINE = "status"
+
+
+class RecordingScreen(Screen[None]):
+    """The channels of a recording, read in a thread."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("escape,q,backspace", "app.pop_screen", "Back", id="recording.back"),
+        Binding("f12", "app.stop_all", "STOP ALL", id="recording.stop", tooltip="Emergency stop"),
+    ]
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(id="recording-screen")
+        self._path = path
+
+    def compose(self) -> ComposeResult:
+        """A title, and room for charts."""
+        yield Static(Text(f" {self._path.name} … reading", style="bold"), id="recording-title")
+        yield VerticalScroll(id="recording-body")
+        yield Footer(show_command_palette=False)
+
+    def on_mount(self) -> None:
+        """Read it."""
+        self.run_worker(self._read, thread=True, exit_on_error=False)
+
+    def _read(self) -> None:
+        try:
+            recording = read_recording(self._path)
+        except LabhilError as error:
+            self.app.call_later(self._fail, str(error))
+            return
+        self.app.call_later(partial(self._show, recording))
+
+    def _fail(self, message: str) -> None:
+        error = self.app.theme_variables["error"]
+        self.query_one("#recording-title", Static).update(Text(f" ✕ {message}", style=f"bold {error}"))
+
+    async def _show(self, recording: Recording) -> None:
+        if not self.is_mounted:
+            return
+        colours = self.app.theme_variables
+        status, reason = how_it_ended(recording)
+        title = Text(f" {self._path.name}  ", style="bold", no_wrap=True, overflow="ellipsis")
+        title.append_text(ended_look(status).text(colours))
+        title.append(f"  {reason}", style=colours["muted"])
+        self.query_one("#recording-title", Static).update(title)
+        body = self.query_one("#recording-body")
+        await body.mount(Static(_facts(recording), classes="recording-facts"))
+        number = 0
+        for data in recording.streams:
+            for signal in data.stream.signals:
+                if len(data) > 1:
+                    chart = Chart(classes="recording-chart")
+                    await body.mount(chart)
+                    chart.show(*_channel(data, signal.name, number, colours))
+                    number += 1
+        await body.mount(Static(_events(recording, colours), classes="recording-events"))
+        body.focus()
+
+
+def _facts(recording: Recording) -> Text:
+    text = Text()
+    rig = recording.rig.kind.name if recording.rig is not None else "no rig file"
+    text.append(f"{rig}, {duration(recording.duration)}")
+    for data in recording.streams:
+        text.append(
+            f"\n/{data.device}/{data.stream.name}: {count(len(data))} samples at {frequency(data.rate)}"
+        )
+        text.append(f", {count(data.lost)} lost" if data.lost else ", none lost")
+    for line in recording.losses():
+        text.append(f"\n▲ {line}")
+    return text
+
+
+def _channel(data: StreamData, name: str, number: int, colours: dict[str, str]) -> tuple[Text, list[Curve]]:
+    signal = next(signal for signal in data.stream.signals if signal.name == name)
+    values = data[name].reshape(len(data), -1)
+    title = Text(no_wrap=True, overflow="ellipsis")
+    title.append(name, style="bold")
+    title.append(f", {signal.unit}  of /{data.device}/{data.stream.name}", style=colours["muted"])
+    gap = 5.0 * float(np.median(np.diff(data.t)))
+    return title, [
+        Curve(
+            data.t,
+            values[:, i],
+            f"curve-{(number + i) % CURVES}",
+            PENS[i // 2 % len(PENS)],
+            column if len(signal.columns()) > 1 else "",
+            gap,
+        )
+        for i, column in enumerate(signal.columns())
+    ]
+
+
+def _events(recording: Recording, colours: dict[str, str]) -> Text:
+    told = [event for event in recording.events if event.topic != ROUTINE]
+    text = Text("What happened\n", style="bold")
+    for event in told[:MOST_EVENTS]:
+        message = event.body.get("message") or event.body.get("text") or ""
+        text.append(f"{event.t:9.3f} s  ".replace("-", "−"), style=colours["muted"])
+        text.append(f"{event.device:<8} {event.body.get('kind', event.topic)}", style="not bold")
+        text.append(f"  {message}\n", style="not bold")
+    if len(told) > MOST_EVENTS:
+        text.append(f"… and {len(told) - MOST_EVENTS} more\n", style="not bold")
+    return text

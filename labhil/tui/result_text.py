@@ -1,0 +1,272 @@
+"""A fit or a diagnosis as text: the answer first, then what it rests on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from labhil.physics.terms import keyed
+from labhil.report.html.quantity import chance, interval, multiple, p_value, percent, quantity
+from labhil.report.html.schema import (
+    ChannelErrors,
+    DiagnosisPart,
+    FitPart,
+    ImprovementPart,
+    MissingPart,
+    ParameterRow,
+    RivalPart,
+    ScorePart,
+)
+from labhil.report.verdicts import VERDICTS
+
+Colours = dict[str, str]
+
+VERDICT_LOOKS = {
+    "no_mismatch": ("✓", "success"),
+    "parameter_change": ("≠", "warning"),
+    "missing_physics": ("◆", "accent"),
+    "unexplained_mismatch": ("?", "warning"),
+    "data_fault": ("▲", "error"),
+    "not_decidable": ("○", "muted"),
+}
+MOST_EXCLUDED = 12
+
+
+def result_renderable(part: FitPart | DiagnosisPart, colours: Colours) -> RenderableType:
+    """The whole of a result as text."""
+    return diagnosis_text(part, colours) if isinstance(part, DiagnosisPart) else fit_text(part, colours)
+
+
+def headline(part: FitPart | DiagnosisPart) -> str:
+    """A result in a few words, for a list."""
+    if isinstance(part, FitPart):
+        score = part.test or part.train
+        on = "on test data" if part.test is not None else "on what it was fitted to"
+        return f"R² {percent(score.r2)} {on}, {len(part.parameters)} parameters"
+    found = ", ".join(keyed(item.term, item.joint) for item in part.missing)
+    return found or VERDICTS[part.verdict].rstrip(".")
+
+
+def fit_text(fit: FitPart, colours: Colours) -> RenderableType:
+    """A fit: how good, the parameters, and what the data cannot know."""
+    score = fit.test or fit.train
+    on = "data it has not seen" if fit.test is not None else "the data it was fitted to"
+    head = Text()
+    head.append(f"R² {percent(score.r2)}", style=f"bold {colours['success']}")
+    head.append(f" on {on}\n")
+    head.append(
+        f"RMSE {quantity(score.rmse, score.unit)}, noise floor {quantity(score.noise_floor, score.unit)}"
+    )
+    head.append(f" ({multiple(score.rmse, score.noise_floor)})", style=colours["muted"])
+    parts: list[RenderableType] = [
+        head,
+        _title("Parameters", colours),
+        parameter_table(fit.parameters, colours),
+    ]
+    if fit.identifiability.rank < fit.identifiability.of:
+        parts.append(_identifiability(fit, colours))
+    parts += [_title("Errors", colours), _scores(fit), _title("How", colours), _how(fit, colours)]
+    return Group(*parts)
+
+
+def _title(text: str, colours: Colours) -> Text:
+    return Text(f"\n{text}", style=f"bold {colours['primary']}")
+
+
+def parameter_table(rows: Sequence[ParameterRow], colours: Colours) -> Table:
+    """One row per parameter; a word says what cannot be relied on."""
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style=colours["muted"])
+    table.add_column("parameter", no_wrap=True, overflow="ellipsis", max_width=38)
+    table.add_column("value", justify="right", no_wrap=True)
+    table.add_column("99 % interval", no_wrap=True)
+    table.add_column("", no_wrap=True)
+    for row in rows:
+        table.add_row(
+            row.key,
+            Text(quantity(row.value, row.unit), style="bold"),
+            Text(interval(row.ci99)),
+            _remark(row, colours),
+        )
+    return table
+
+
+def _remark(row: ParameterRow, colours: Colours) -> Text:
+    if not row.identifiable:
+        return Text("▲ not identifiable", style=colours["warning"])
+    if row.at_bound:
+        return Text("▲ at its bound", style=colours["warning"])
+    if row.significant is False:
+        return Text("○ may be zero", style=colours["muted"])
+    return Text("")
+
+
+def _identifiability(fit: FitPart, colours: Colours) -> Text:
+    known = fit.identifiability
+    text = Text(f"\n▲ The data know {known.rank} of {known.of} parameters", style=colours["warning"])
+    if known.combinations:
+        text.append(f"; of the rest only {', '.join(known.combinations)}")
+    if known.would_help:
+        text.append(f". It would help to record or to know {', '.join(known.would_help)}")
+    return text.append(".")
+
+
+def _scores(fit: FitPart) -> Table:
+    table = _plain_table(("data", "channel"), ("RMSE", "noise floor", "R²"))
+    for name, score in (("fitted", fit.train), ("test", fit.test)):
+        for row in _rows_of(score):
+            table.add_row(
+                name,
+                keyed(row.channel, row.joint),
+                quantity(row.rmse, row.unit),
+                quantity(row.noise_floor, row.unit),
+                percent(row.r2),
+            )
+    return table
+
+
+def _rows_of(score: ScorePart | None) -> Sequence[ChannelErrors]:
+    return () if score is None else score.per_channel
+
+
+def _plain_table(words: Sequence[str], numbers: Sequence[str]) -> Table:
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
+    for name in words:
+        table.add_column(name, no_wrap=True)
+    for name in numbers:
+        table.add_column(name, justify="right", no_wrap=True)
+    return table
+
+
+def _how(fit: FitPart, colours: Colours) -> Text:
+    text = Text(style=colours["muted"])
+    text.append(f"terms: {', '.join(fit.terms)}\n")
+    text.append(f"estimator {fit.estimator}, seed {fit.seed}, {fit.evaluations} simulations")
+    text.append(f", {quantity(fit.seconds, 's', 3)}\n")
+    text.append(f"residuals white with p {p_value(fit.residuals.ljung_box_p)}, ")
+    text.append(f"free of the input with p {p_value(fit.residuals.input_crosscorrelation_p)}\n")
+    text.append(_sources(fit))
+    return text
+
+
+def _sources(part: FitPart | DiagnosisPart) -> str:
+    return "\n".join(
+        f"{source.role or 'used'}: {Path(source.path).name}, {source.samples} samples"
+        for source in part.recordings
+    )
+
+
+def diagnosis_text(found: DiagnosisPart, colours: Colours) -> RenderableType:
+    """A diagnosis: the verdict, what is missing, how much better, rivals, and what could still hide."""
+    sign, colour = VERDICT_LOOKS[found.verdict]
+    head = Text()
+    head.append(f"{sign} {VERDICTS[found.verdict]}\n", style=f"bold {colours[colour]}")
+    head.append(f"baseline {', '.join(found.baseline.terms)}; ", style=colours["muted"])
+    head.append(f"p {p_value(found.p_value)} that it suffices\n", style=colours["muted"])
+    for fault in found.faults:
+        head.append(f"▲ {fault.statement}\n", style=colours["warning"])
+    if found.location is not None:
+        head.append(f"{found.location.statement}\n")
+    head.rstrip()
+    parts: list[RenderableType] = [head]
+    if found.missing:
+        parts.append(_title("What is missing", colours))
+    for number, item in enumerate(found.missing):
+        parts += [Text()] if number else []
+        parts.append(_missing(item, found.rivals, colours))
+    if found.changed:
+        parts += [_title("What has changed", colours), _changed(found)]
+    if found.improvement is not None:
+        parts += [_title("How much better", colours), _improvement(found.improvement, colours)]
+    parts += [_title("The model that is left", colours), parameter_table(found.final.parameters, colours)]
+    parts.append(_rest(found, colours))
+    return Group(*parts)
+
+
+def _missing(item: MissingPart, rivals: Sequence[RivalPart], colours: Colours) -> RenderableType:
+    text = Text()
+    text.append(f"◆ {keyed(item.term, item.joint)}", style=f"bold {colours['accent']}")
+    text.append(f"  probability {chance(item.probability)}\n")
+    text.append(f"{item.statement}\n")
+    if item.equation:
+        text.append(f"{item.equation}\n", style="italic")
+    evidence = item.evidence
+    text.append(
+        f"ΔBIC {quantity(evidence.delta_bic, digits=3)}, held-out gain "
+        f"{quantity(evidence.heldout_loglik_gain, 'nats', 3)}\n",
+        style=colours["muted"],
+    )
+    for rival in rivals:
+        if (rival.instead_of, rival.joint) == (item.term, item.joint):
+            told = "can be told apart by" if rival.distinguishable else "cannot be told apart here; try"
+            text.append(f"  or {keyed(rival.term, rival.joint)} ({chance(rival.probability)}), ")
+            text.append(f"{told} {rival.experiment}\n", style=colours["muted"])
+    text.rstrip()
+    return text
+
+
+def _changed(found: DiagnosisPart) -> Table:
+    table = _plain_table(("parameter",), ("before", "after", "99 % interval", "p"))
+    for change in found.changed:
+        table.add_row(
+            keyed(change.name, change.joint, change.recording),
+            quantity(change.before, change.unit),
+            quantity(change.after, change.unit),
+            interval(change.ci99),
+            p_value(change.p_value),
+        )
+    return table
+
+
+def _improvement(better: ImprovementPart, colours: Colours) -> RenderableType:
+    on = "the test recording" if better.data == "test" else "held-out data"
+    horizon = "" if better.horizon is None else f", windows of {quantity(better.horizon, 's')}"
+    table = _plain_table(("on " + on + horizon,), ("before", "after", "noise floor"))
+    table.add_row(
+        "RMSE",
+        quantity(better.rmse_before, better.unit),
+        Text(quantity(better.rmse_after, better.unit), style="bold"),
+        quantity(better.noise_floor, better.unit),
+    )
+    table.add_row("R²", percent(better.r2_before), Text(percent(better.r2_after), style="bold"), "")
+    return Group(table, _bars(better, colours))
+
+
+def _bars(better: ImprovementPart, colours: Colours) -> Text:
+    """Errors as lengths, in multiples of the noise floor, on a scale of powers of ten."""
+    import math
+
+    text = Text()
+    if not better.noise_floor:
+        return text
+    floor = better.noise_floor
+    shown = [
+        ("before", better.rmse_before, "warning"),
+        ("after", better.rmse_after, "success"),
+        ("noise", floor, "muted"),
+    ]
+    for name, value, colour in shown:
+        ratio = max(value or 0.0, 1e-12) / floor
+        length = round(min(40.0, max(1.0, 4.0 + 12.0 * math.log10(ratio))))
+        text.append(f"{name:<7}", style=colours["muted"])
+        text.append("█" * length, style=colours[colour])
+        text.append(f" {multiple(value, floor)}\n")
+    text.rstrip()
+    return text
+
+
+def _rest(found: DiagnosisPart, colours: Colours) -> Text:
+    text = Text("\n", style=colours["muted"])
+    if found.excluded:
+        shown = [
+            f"{keyed(e.term, e.joint, e.recording)} {quantity(e.largest_hidden, e.unit, 2)}"
+            for e in found.excluded
+        ]
+        more = f" and {len(shown) - MOST_EXCLUDED} more" if len(shown) > MOST_EXCLUDED else ""
+        text.append(f"Not there, or smaller than: {', '.join(shown[:MOST_EXCLUDED])}{more}.\n")
+    for item in found.undecided:
+        text.append(f"Undecided: {keyed(item.term, item.joint)}: {item.reason}.\n")
+    return text.append(_sources(found))

@@ -1,0 +1,296 @@
+"""Fits and diagnoses: those at work with their progress, and those that are done, as text and as charts."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from rich.text import Text
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import Container, Vertical, VerticalScroll
+from textual.widgets import DataTable, Static
+from textual.widgets.data_table import CellDoesNotExist
+
+from labhil.errors import LabhilError
+from labhil.report.html.schema import CurvePart, DiagnosisPart, FitPart, json_of, result_of
+from labhil.signals import FloatArray
+from labhil.tui.curves import read_curves
+from labhil.tui.jobs import Job, Jobs
+from labhil.tui.plot import Chart, Curve, Pen
+from labhil.tui.result_text import headline, result_renderable
+from labhil.tui.shelf import ResultFile, results
+from labhil.tui.words import duration
+
+EMPTY = """[b]No fit and no diagnosis in this folder yet.[/b]
+
+  [b $accent]4[/] then [b $accent]f[/]   fits the chosen recording
+  [b $accent]4[/] then [b $accent]d[/]   asks what physics the model leaves out"""
+
+OF_WIDTH = 25
+SIGNS = {"at work": "…", "done": "✓", "failed": "✕", "cancelled": "■"}
+
+
+class ResultsPane(Vertical):
+    """The list of results above, the chosen one below."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding(
+            "g",
+            "charts",
+            "Charts",
+            id="result.charts",
+            tooltip="Text or charts, where there is no room for both",
+        ),
+        Binding(
+            "c,delete", "cancel", "Cancel", id="job.cancel", tooltip="End this work; files stay as they were"
+        ),
+    ]
+
+    def __init__(self, folder: Path, jobs: Jobs) -> None:
+        super().__init__(id="results-pane")
+        self._folder, self._jobs = folder, jobs
+        self._files: list[ResultFile] = []
+        self._parts: dict[tuple[Path, float], FitPart | DiagnosisPart | str] = {}
+        self._shown = ""
+        self._keys: list[str] = []
+
+    def compose(self) -> ComposeResult:
+        """The list, the text and the charts."""
+        yield Static(EMPTY, id="results-empty")
+        yield DataTable(id="results-table", cursor_type="row", cursor_foreground_priority="renderable")
+        with Container(id="result-split"):
+            with VerticalScroll(id="result-scroll"):
+                yield Static(id="result-text")
+            yield VerticalScroll(id="result-charts", can_focus=False)
+
+    def on_mount(self) -> None:
+        """Make the columns."""
+        table = self.query_one(DataTable)
+        for key, width in (("", 2), ("kind", 9), ("of", OF_WIDTH), ("result", None)):
+            table.add_column(key, key=key or "sign", width=width)
+        self.refresh_list()
+
+    def refresh_list(self) -> None:
+        """Look for results anew, and show what the jobs are doing."""
+        self._files = results(self._folder)
+        for file in self._files:
+            key = (file.path, file.modified)
+            if key not in self._parts:
+                self._parts[key] = _read(file.path)
+        self.refresh_view()
+
+    def refresh_view(self) -> None:
+        """Show how far the work is."""
+        rows = dict(self._rows())
+        self.query_one("#results-empty").display = not rows
+        self.query_one("#result-split").display = bool(rows)
+        table = self.query_one(DataTable)
+        table.display = bool(rows)
+        if list(rows) == self._keys:
+            for key, row in rows.items():
+                for column, cell in zip(("sign", "kind", "of", "result"), row, strict=True):
+                    if table.get_cell(key, column) != cell:
+                        table.update_cell(key, column, cell, update_width=column == "result")
+            job = self._job(self._chosen())
+            if job is not None:
+                self._show_job(job)
+            return
+        chosen = self._chosen()
+        new = [key for key in rows if key not in self._keys]
+        table.clear()
+        for key, row in rows.items():
+            table.add_row(*row, key=key)
+        self._keys = list(rows)
+        if new and self._shown:  # what has just come is what one waits for
+            table.move_cursor(row=self._keys.index(new[0]))
+        elif chosen in rows:
+            table.move_cursor(row=self._keys.index(chosen or ""))
+
+    def _rows(self) -> Iterator[tuple[str, tuple[Text, ...]]]:
+        colours = self.app.theme_variables
+        for job in reversed(self._jobs.all):
+            if job.state == "done" and job.task.kind in ("fit", "diagnose"):
+                continue  # its file is in the list
+            colour = {"failed": "error", "at work": "accent"}.get(job.state, "muted")
+            names = job.title.partition(" ")[2]
+            yield (
+                f"job {job.number}",
+                (
+                    Text(SIGNS[job.state], style=f"bold {colours[colour]}"),
+                    Text(job.task.kind),
+                    Text(_shortened(names, OF_WIDTH)),
+                    Text(self._job_line(job), style=colours[colour]),
+                ),
+            )
+        for file in self._files:
+            part = self._parts[file.path, file.modified]
+            bad = isinstance(part, str)
+            yield (
+                f"file {file.path} {file.modified}",
+                (
+                    Text("✕" if bad else "✓", style=f"bold {colours['error' if bad else 'success']}"),
+                    Text(file.kind),
+                    Text(
+                        _shortened(
+                            file.path.name.removesuffix(".json").replace(f".{file.kind}", "", 1), OF_WIDTH
+                        )
+                    ),
+                    Text(part if isinstance(part, str) else headline(part)),
+                ),
+            )
+
+    def _job_line(self, job: Job) -> str:
+        if job.state == "at work":
+            return f"{duration(time.monotonic() - job.started)}: {job.said}"
+        return str(job.said).splitlines()[0] if job.said else job.state
+
+    def _chosen(self) -> str | None:
+        table = self.query_one(DataTable)
+        try:
+            return table.coordinate_to_cell_key(table.cursor_coordinate).row_key.value
+        except CellDoesNotExist:
+            return None
+
+    def _job(self, key: str | None) -> Job | None:
+        return self._jobs.all[int(key[4:])] if key and key.startswith("job ") else None
+
+    def show_file(self, path: Path) -> None:
+        """Choose the result in this file."""
+        self.refresh_list()
+        for index, key in enumerate(self._keys):
+            if key.startswith(f"file {path} "):
+                self.query_one(DataTable).move_cursor(row=index)
+
+    async def on_data_table_row_highlighted(self, _event: DataTable.RowHighlighted) -> None:
+        """Show the chosen one."""
+        await self.show_chosen()
+
+    async def show_chosen(self) -> None:
+        """Show the chosen result or job."""
+        key = self._chosen()
+        self.refresh_bindings()
+        job = self._job(key)
+        if job is not None:
+            await self.query_one("#result-charts").remove_children()
+            self._shown = key or ""
+            self._show_job(job)
+        elif key is not None and key != self._shown:
+            self._shown = key
+            for file in self._files:
+                if key == f"file {file.path} {file.modified}":
+                    await self._show_part(file.path, self._parts[file.path, file.modified])
+
+    def _show_job(self, job: Job) -> None:
+        colours = self.app.theme_variables
+        text = Text(f"{SIGNS[job.state]} {job.title}\n", style="bold")
+        text.append(f"{self._job_line(job)}\n\n", style="not bold")
+        if job.state == "at work":
+            text.append(
+                "It works in a process of its own: go on with anything else.\n", style=colours["muted"]
+            )
+            text.append("c cancels it; files stay as they were.", style=colours["muted"])
+        elif job.done is not None:
+            told = (
+                job.done if isinstance(job.done, str) else "\n".join(f"written: {path}" for path in job.done)
+            )
+            text.append(told, style="not bold")
+        else:
+            text.append(job.said, style="not bold")
+        self.query_one("#result-text", Static).update(text)
+
+    async def _show_part(self, path: Path, part: FitPart | DiagnosisPart | str) -> None:
+        colours = self.app.theme_variables
+        area, text = self.query_one("#result-charts"), self.query_one("#result-text", Static)
+        await area.remove_children()
+        if isinstance(part, str):
+            text.update(Text(f"✕ {part}", style=colours["error"]))
+            return
+        text.update(result_renderable(part, colours))
+        self.query_one("#result-scroll").scroll_home(animate=False)
+        charts: list[Chart] = []
+        for title, curves in charts_of(part, read_curves(path)):
+            charts.append(Chart(classes="result-chart"))
+            charts[-1].show(title, curves)
+        if area.is_attached:  # the screen may be left while a thread reads
+            await area.mount_all(charts or [Static(NO_CURVES, classes="result-note")])
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Only what is at work can be cancelled."""
+        if action == "charts":
+            return self.screen.has_class("-narrow") and bool(self._files) if self.is_mounted else False
+        if action == "cancel":
+            job = self._job(self._chosen()) if self.is_mounted else None
+            return job is not None and job.state == "at work"
+        return True
+
+    def action_charts(self) -> None:
+        """Show the charts in the place of the text, or the text again."""
+        self.toggle_class("charts-first")
+
+    def action_cancel(self) -> None:
+        """End the chosen work."""
+        job = self._job(self._chosen())
+        if job is not None:
+            self._jobs.cancel(job)
+            self.refresh_view()
+            self.refresh_bindings()
+
+
+NO_CURVES = (
+    "[$muted]No curves lie beside this result: it was made by a command. "
+    "f or d on its recording (4) makes one with curves.[/]"
+)
+
+
+def _shortened(name: str, width: int) -> str:
+    return name if len(name) <= width else f"{name[: width // 2 - 1]}…{name[-(width // 2) :]}"
+
+
+def _read(path: Path) -> FitPart | DiagnosisPart | str:
+    try:
+        return result_of(json_of(path.read_bytes(), path.name), path.name)
+    except (OSError, LabhilError) as error:
+        return str(error)
+
+
+def charts_of(
+    part: FitPart | DiagnosisPart, curves: dict[str, FloatArray]
+) -> Iterator[tuple[str | Text, list[Curve]]]:
+    """The charts of a result: simulation and error of each channel, what is missing, and its curve."""
+    for name in dict.fromkeys(key.rpartition("/")[0] for key in curves if key.endswith("/t")):
+        t, measured, unit = curves[f"{name}/t"], curves[f"{name}/measured"], str(curves[f"{name}/unit"])
+        both = [
+            (label, curves[f"{name}/{label}"], colour, pen)
+            for label, colour, pen in (("before", "curve-1", Pen.DASHED), ("after", "curve-0", Pen.SOLID))
+            if f"{name}/{label}" in curves
+        ]
+        alone = len(both) == 1
+        seen = Curve(t, measured, "curve-measured", Pen.DOTS, "measured")
+        yield (
+            f"{name}, {unit}",
+            [seen, *(Curve(t, y, c, p, "model" if alone else label) for label, y, c, p in both)],
+        )
+        yield (
+            f"error of {name}, {unit}",
+            [Curve(t, y - measured, c, p, "" if alone else label) for label, y, c, p in both],
+        )
+    for key in (key for key in curves if key.startswith("missing/") and f"{key}/x" in curves):
+        x, y = curves[f"{key}/x"], curves[key]
+        order = np.argsort(x)
+        axis = str(curves[f"{key}/axis"])
+        yield f"{key.removeprefix('missing/')} over {axis}", [Curve(x[order], y[order], "curve-3", Pen.DOTS)]
+    if isinstance(part, DiagnosisPart) and part.curve is not None and len(part.curve.depends_on) == 1:
+        yield _curve(part.curve)
+
+
+def _curve(curve: CurvePart) -> tuple[str, list[Curve]]:
+    x, value = np.array(curve.x, dtype=float).ravel(), np.array(curve.value, dtype=float)
+    drawn = [Curve(x, value, "curve-0", Pen.SOLID, "estimate")]
+    for side in curve.ci99:
+        label = "99 % band" if len(drawn) == 1 else ""
+        drawn.append(Curve(x, np.array(side, dtype=float), "curve-measured", Pen.DOTS, label))
+    return f"what has no name, {curve.unit}, over {curve.depends_on[0]}", drawn

@@ -1,0 +1,71 @@
+"""The run of this screen, if there is one: started, asked to pause or stop, and followed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from labhil.tui.process import Helper
+
+OVER = ("idle", "finished", "failed")
+
+
+class Runner:
+    """Holds at most one run process; ``on_line`` gets its lines in a thread of its own.
+
+    The lines come back through :meth:`take`, in the thread of the screen, which owns all that is here.
+    """
+
+    def __init__(self, folder: Path, on_line: Callable[[dict[str, Any]], object]) -> None:
+        self._folder, self._on_line = folder, on_line
+        self._helper: Helper | None = None
+        self._number = 0
+        self.state = "idle"
+        self.reason = ""
+        self.elapsed = 0.0
+        self.duration = 0.0
+        self.name = ""
+
+    @property
+    def active(self) -> bool:
+        """Whether a run is on, or is still being ended."""
+        return self._helper is not None and self._helper.running and self.state not in OVER
+
+    def start(self, experiment: Path, name: str) -> None:
+        """Start a run; the one before must be over."""
+        if self._helper is not None:
+            self._helper.close()
+        self.state, self.reason, self.elapsed, self.duration, self.name = "starting", "", 0.0, 0.0, name
+        told = {"experiment": str(experiment.absolute()), "out": str(self._folder.absolute())}
+        self._number += 1
+        number, on_line = self._number, self._on_line
+        self._helper = Helper(
+            "the run", "labhil.tui.running", told, lambda line: on_line({**line, "number": number})
+        )
+
+    def ask(self, what: str, reason: str = "") -> None:
+        """Ask for ``pause``, ``resume``, ``stop`` or ``abort``."""
+        if self._helper is not None:
+            self._helper.tell({"do": what, "reason": reason or f"{what} in the terminal UI"})
+
+    def take(self, line: dict[str, Any]) -> None:
+        """Follow what the run says; the last words of the one before are not this one's."""
+        if line["number"] != self._number:
+            return
+        if "state" in line:
+            self.state, self.elapsed, self.duration = line["state"], line["elapsed"], line["duration"]
+            self.reason = line["message"] or self.reason
+        elif "refused" in line:
+            self.reason = line["refused"]
+        elif "result" in line:
+            if self.state not in OVER:  # it came to grief before there was a run
+                self.state = "failed"
+            self.reason = line["error"] or (line["result"] or {}).get("reason", "")
+        elif "ended" in line and self.state not in OVER:
+            self.state, self.reason = "failed", line["complaint"] or "the run process died"
+
+    def close(self) -> None:
+        """End a run that is on, in order, and wait for it."""
+        if self._helper is not None:
+            self._helper.close()

@@ -1,0 +1,81 @@
+"""A run in a process of its own: what the screen draws can neither delay nor end it by accident.
+
+``python -m labhil.tui.running`` is told ``{"experiment": path, "out": folder}`` first, then ``{"do":
+"pause" | "resume" | "stop" | "abort", "reason": …}``. It says its progress ten times a second, what it
+refuses, and at the end its result. When its standard input ends it stops the run in order: devices
+safe, recording complete.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from labhil.errors import CommandRefusedError, LabhilError
+from labhil.experiment.control import RunControl
+from labhil.experiment.experiment import load_experiment
+from labhil.experiment.result import Progress
+from labhil.experiment.run import run_experiment
+from labhil.tui.process import on_further_lines, say, told_first
+
+GONE = "the terminal UI that started the run is gone"
+
+
+def obey(control: RunControl, line: dict[str, Any]) -> None:
+    """Do what a line asks for; say so where the run's state does not allow it."""
+    reason = str(line.get("reason", "told to by the terminal UI"))
+    try:
+        match line.get("do"):
+            case "pause":
+                control.pause(reason)
+            case "resume":
+                control.resume()
+            case "stop":
+                control.stop(reason)
+            case "abort":
+                control.abort(reason)
+    except CommandRefusedError as error:
+        say({"refused": str(error)})
+
+
+def end(control: RunControl) -> None:
+    """End the run in order, in whatever state it is."""
+    try:
+        control.stop(GONE)
+    except CommandRefusedError:
+        return  # it is ending already
+
+
+def main() -> int:
+    """Run the process; returns its exit status."""
+    told = told_first()
+    control = RunControl()
+    refusals = {""}
+
+    def report(progress: Progress) -> None:
+        say(
+            {
+                "state": progress.state.value,
+                "elapsed": progress.elapsed,
+                "duration": progress.duration,
+                "message": progress.message,
+            }
+        )
+        if control.refusal not in refusals:
+            refusals.add(control.refusal)
+            say({"refused": control.refusal})
+
+    try:
+        experiment = load_experiment(Path(told["experiment"]))
+        on_further_lines(lambda line: obey(control, line), lambda: end(control))
+        result = run_experiment(experiment, Path(told["out"]), report, control)
+    except LabhilError as error:
+        say({"result": None, "error": str(error)})
+        return error.exit_status
+    say({"result": result.to_json(), "error": None if result.error is None else str(result.error)})
+    return result.exit_status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,167 @@
+"""The files of a folder, as a screen lists them: recordings, results, experiments."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from importlib.resources import files
+from pathlib import Path
+
+from labhil.errors import LabhilError
+from labhil.recording.reader import Recording, read_recording
+
+LARGEST_READ = 256 << 20
+"""Recordings of more bytes are listed by their size alone: reading them takes seconds."""
+
+LARGEST_RESULT = 64 << 20
+SCHEMAS = {"labhil.fit/1": "fit", "labhil.diagnosis/1": "diagnosis"}
+
+
+@dataclass(frozen=True, slots=True)
+class Shelved:
+    """One recording. What cannot be read is None, and ``trouble`` says why.
+
+    ``duration`` in s of the device's world; ``status`` is "done", "failed", "imported" or "no end".
+    """
+
+    path: Path
+    size: int
+    modified: float
+    rig: str | None = None
+    duration: float | None = None
+    samples: int | None = None
+    gaps: int | None = None
+    status: str = ""
+    reason: str = ""
+    trouble: str = ""
+
+    @property
+    def when(self) -> str:
+        """When it was written, local time."""
+        return datetime.fromtimestamp(self.modified).astimezone().strftime("%d %b %H:%M")
+
+
+class Shelf:
+    """The recordings of a folder, read once and again only where they change."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._known: dict[tuple[Path, int, float], Shelved] = {}
+
+    def look(self) -> Iterator[list[Shelved]]:
+        """Yield the list again and again while it is read, the newest recording first."""
+        found = sorted(_recordings(self.folder), key=lambda key: -key[2])
+        shelved = [self._known.get(key, Shelved(*key)) for key in found]
+        yield list(shelved)
+        for index, key in enumerate(found):
+            if key not in self._known:
+                shelved[index] = self._known[key] = describe(*key)
+                yield list(shelved)
+
+
+def _recordings(folder: Path) -> Iterator[tuple[Path, int, float]]:
+    for pattern in ("*.mcap", "*.mcap.part"):
+        for path in folder.glob(pattern):
+            try:
+                about = path.stat()
+            except OSError:
+                continue  # renamed between listing and looking
+            yield path, about.st_size, about.st_mtime
+
+
+def describe(path: Path, size: int, modified: float) -> Shelved:
+    """Read one recording; what is wrong with it stands in ``trouble``."""
+    if size > LARGEST_READ:
+        return Shelved(path, size, modified, trouble="large: open it to read it")
+    try:
+        recording = read_recording(path)
+    except LabhilError as error:
+        return Shelved(path, size, modified, status="unreadable", trouble=str(error))
+    status, reason = how_it_ended(recording)
+    measured = [data for data in recording.streams if data.stream.name != "command"]
+    return Shelved(
+        path,
+        size,
+        modified,
+        rig=recording.rig.kind.name if recording.rig is not None else None,
+        duration=recording.duration,
+        samples=sum(len(data) for data in measured),
+        gaps=sum(data.lost for data in recording.streams),
+        status=status,
+        reason=reason,
+        trouble=recording.damage,
+    )
+
+
+def how_it_ended(recording: Recording) -> tuple[str, str]:
+    """The exit status of the run as a word, and its reason."""
+    told = recording.metadata.get("end", {})
+    status, reason = told.get("exit_status", ""), told.get("reason", "")
+    if not recording.complete or not told:
+        return "no end", recording.damage
+    if "experiment" not in recording.metadata:
+        return "imported", reason
+    return ("done" if status in ("0", "done") else f"failed ({status})"), reason
+
+
+@dataclass(frozen=True, slots=True)
+class ResultFile:
+    """The JSON of a fit or a diagnosis."""
+
+    path: Path
+    kind: str
+    modified: float
+
+
+def results(folder: Path) -> list[ResultFile]:
+    """The results in a folder, the newest first; other JSON is left out."""
+    found = []
+    for path in folder.glob("*.json"):
+        try:
+            about = path.stat()
+            if about.st_size > LARGEST_RESULT:
+                continue
+            schema = json.loads(path.read_text(encoding="utf-8")).get("schema")
+        except (OSError, ValueError, AttributeError):
+            continue
+        if schema in SCHEMAS:
+            found.append(ResultFile(path, SCHEMAS[schema], about.st_mtime))
+    return sorted(found, key=lambda result: -result.modified)
+
+
+@dataclass(frozen=True, slots=True)
+class ExperimentFile:
+    """An experiment file; ``packaged`` ones come with labhil."""
+
+    path: Path
+    name: str
+    packaged: bool
+
+
+def experiments(folder: Path) -> list[ExperimentFile]:
+    """The experiments in a folder, then those that come with labhil."""
+    examples = Path(str(files("labhil.experiment") / "examples"))
+    own = [(path, False) for path in sorted(folder.glob("*.toml"))]
+    packaged = [(path, True) for path in sorted(examples.glob("*.toml"))]
+    found = []
+    for path, is_packaged in [*own, *packaged]:
+        try:
+            data = tomllib.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            continue
+        section = data.get("experiment")
+        if isinstance(section, dict):
+            found.append(ExperimentFile(path, str(section.get("name", path.stem)), is_packaged))
+    return found
+
+
+def free_name(folder: Path, stem: str, suffix: str) -> Path:
+    """A path in ``folder`` that is not taken: ``stem.suffix``, ``stem-2.suffix``, …"""
+    path, number = folder / f"{stem}.{suffix}", 1
+    while path.exists():
+        number += 1
+        path = folder / f"{stem}-{number}.{suffix}"
+    return path

@@ -1,0 +1,148 @@
+"""A fit, a diagnosis, a verification or an export in a process of its own.
+
+``python -m labhil.tui.study`` is told what to do in one line, says what it is doing (``{"progress": …}``)
+and at the end what came of it (``{"done": …}`` or ``{"failed": …}``). Results appear under their names
+only when they are complete, so it may be ended at any moment: files are as they were before, or whole.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from labhil.errors import LabhilError
+from labhil.tui.process import on_further_lines, say, told_first
+from labhil.tui.shelf import free_name
+
+CANCELLED = 130
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What is asked for: ``kind`` is "fit", "diagnose", "verify" or "export"."""
+
+    kind: str
+    recordings: tuple[Path, ...]
+    tests: tuple[Path, ...] = ()
+    model: Path | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the task as plain data."""
+        return {
+            "kind": self.kind,
+            "recordings": [str(path.absolute()) for path in self.recordings],
+            "tests": [str(path.absolute()) for path in self.tests],
+            "model": None if self.model is None else str(self.model.absolute()),
+        }
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Task:
+        """Read what :meth:`to_json` wrote."""
+        model = data["model"]
+        return cls(
+            str(data["kind"]),
+            tuple(map(Path, data["recordings"])),
+            tuple(map(Path, data["tests"])),
+            None if model is None else Path(model),
+        )
+
+    @property
+    def title(self) -> str:
+        """What it is, for a person."""
+        names = ", ".join(path.name.removesuffix(".mcap") for path in self.recordings)
+        return f"{self.kind} {names}"
+
+
+def progress(text: str) -> None:
+    """Tell the screen what is being done."""
+    say({"progress": text})
+
+
+def do(task: Task) -> dict[str, Any]:
+    """Do it; return what the screen is told. Raises LabhilError."""
+    first = task.recordings[0]
+    stem = first.name.removesuffix(".part").removesuffix(".mcap")
+    if task.kind == "export":
+        return {"done": [str(_export(path)) for path in task.recordings]}
+    if task.kind == "verify":
+        return _verify(task)
+    from labhil.report.material import load_material
+
+    progress(f"reading {first.name}")
+    material = load_material(task.recordings, None, task.tests or None, **_holdout(task))
+    for line in material.losses():
+        progress(line)
+    if task.kind == "fit":
+        from labhil.identify.fit import Options
+        from labhil.report.study import fit_study
+        from labhil.tui.curves import curves_of_fit
+
+        fitted = fit_study(material, start=task.model, options=Options(progress=progress))
+        return {"done": str(_write(first.parent, stem, "fit", fitted.json, curves_of_fit(fitted)))}
+    from labhil.report.study import diagnose_study
+    from labhil.tui.curves import curves_of_diagnosis
+
+    found = diagnose_study(material, reference=task.model, progress=progress)
+    return {"done": str(_write(first.parent, stem, "diagnosis", found.json, curves_of_diagnosis(found)))}
+
+
+def _holdout(task: Task) -> dict[str, Any]:
+    return {"all_of_it": True} if task.kind == "fit" else {}
+
+
+def _write(folder: Path, stem: str, kind: str, data: Any, curves: Mapping[str, Any]) -> Path:
+    """Write the result, and beside it the curves that its pictures are made of."""
+    path = free_name(folder, stem, f"{kind}.json")
+    with path.with_suffix(".npz.new").open("wb") as file:
+        np.savez_compressed(file, **curves)
+    path.with_suffix(".npz.new").replace(path.with_suffix(".npz"))
+    new = path.with_name(path.name + ".new")
+    new.write_text(json.dumps(data, ensure_ascii=False, allow_nan=False, indent=1) + "\n", encoding="utf-8")
+    new.replace(path)
+    return path
+
+
+def _export(path: Path) -> Path:
+    from labhil.recording.export import export
+    from labhil.recording.reader import read_recording
+
+    stem = path.name.removesuffix(".part").removesuffix(".mcap")
+    progress(f"reading {path.name}")
+    return export(read_recording(path), free_name(path.parent, stem, "csv"))
+
+
+def _verify(task: Task) -> dict[str, Any]:
+    from rich.console import Console
+
+    from labhil.report.verification import show_verification, verify_study
+
+    assert task.model is not None
+    result = verify_study(task.recordings[0], task.model, None, alpha=1e-3, progress=progress)
+    console = Console(width=100, record=True, file=open(os.devnull, "w"))  # noqa: PTH123, SIM115
+    show_verification(result.verification, console)
+    text = "\n".join([*result.losses, console.export_text()])
+    return {"done": text, "consistent": result.verification.consistent}
+
+
+def main() -> int:
+    """Run the process; returns its exit status."""
+    told = told_first()
+    # nothing is half done where a name is taken only by what is whole, so there is nothing to tidy up
+    on_further_lines(lambda _line: None, lambda: os._exit(CANCELLED))
+    try:
+        say(do(Task.from_json(told)))
+    except LabhilError as error:
+        say({"failed": str(error)})
+        return error.exit_status
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

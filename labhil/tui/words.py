@@ -1,0 +1,110 @@
+"""How states and numbers are written: a sign and a word, so that colour only underlines them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rich.text import Text
+
+from labhil.tui.watch import DeviceView
+
+NOTHING = "–"
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """A state on the screen: its sign, its word, and the theme's colour for it."""
+
+    sign: str
+    word: str
+    colour: str
+
+    def text(self, colours: dict[str, str]) -> Text:
+        """As it is shown."""
+        return Text(f"{self.sign} {self.word}", style=f"bold {colours.get(self.colour, 'default')}")
+
+
+STATES = {
+    "active": Look("▶", "active", "success"),
+    "idle": Look("○", "idle", "foreground"),
+    "connecting": Look("…", "connecting", "muted"),
+    "tripped": Look("▲", "TRIPPED", "error"),
+    "latched": Look("■", "LATCHED", "error"),
+    "reconnecting": Look("…", "reconnecting", "warning"),
+    "failed": Look("✕", "FAILED", "error"),
+    "stopped": Look("■", "stopped", "muted"),
+    "no answer": Look("?", "no answer", "warning"),
+    "gone": Look("✕", "gone", "muted"),
+}
+
+RUN_STATES = {
+    "idle": Look("○", "nothing runs", "muted"),
+    "starting": Look("…", "starting", "accent"),
+    "running": Look("▶", "RUNNING", "success"),
+    "paused": Look("‖", "PAUSED", "warning"),
+    "stopping": Look("■", "stopping", "accent"),
+    "aborting": Look("■", "aborting", "error"),
+    "finished": Look("✓", "finished", "success"),
+    "failed": Look("✕", "failed", "error"),
+}
+
+ENDED = {
+    "done": Look("✓", "done", "success"),
+    "imported": Look("⇣", "imported", "foreground"),
+    "no end": Look("▲", "no end", "warning"),
+    "unreadable": Look("✕", "unreadable", "error"),
+}
+
+
+def device_look(view: DeviceView) -> Look:
+    """How a device stands; one that lives and sends nothing is silent whatever its host says."""
+    if view.state == "gone":
+        return STATES["gone"]
+    if view.beat is not None and view.beat.silent:
+        return Look("◌", f"SILENT {whole(view.beat.age)}", "warning")
+    return STATES.get(view.state, Look("?", view.state, "muted"))
+
+
+def ended_look(status: str) -> Look:
+    """How a recording ended."""
+    return ENDED.get(status, Look("✕", status, "error"))
+
+
+def duration(seconds: float | None) -> str:
+    """``12.3 s``, ``2 min 05 s``."""
+    if seconds is None:
+        return NOTHING
+    if seconds < 100:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest:02d} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def whole(seconds: float) -> str:
+    """``3 s``; what is longer in minutes."""
+    return f"{seconds:.0f} s" if seconds < 100 else duration(seconds)
+
+
+def milliseconds(seconds: float | None) -> str:
+    """``0.4 ms``."""
+    if seconds is None:
+        return NOTHING
+    return f"{1e3 * seconds:.1f} ms" if abs(seconds) < 0.9995 else f"{seconds:.1f} s"
+
+
+def frequency(rate: float | None) -> str:
+    """``99.8 Hz``."""
+    return NOTHING if rate is None else f"{rate:.4g} Hz"
+
+
+def count(number: int | None) -> str:
+    """With narrow spaces between thousands."""
+    return NOTHING if number is None else f"{number:,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
+
+
+def size(number: int) -> str:
+    """``1.2 MB``."""
+    for unit, factor in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if number >= factor:
+            return f"{number / factor:.3g} {unit}"
+    return f"{number} B"

@@ -1,0 +1,91 @@
+"""A lab in which nothing moves: fixed samples, fixed clock, so that screens can be compared."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from labhil.bus.latch import Latch
+from labhil.service.emergency import Outcome
+from labhil.signals import Batch, Direction, Hold, Signal, Stream
+from labhil.tui.lab import Place
+from labhil.tui.watch import Beat, DeviceView, Said, StreamWatch
+
+NOW_NS = 1_790_000_000_000_000_000
+ENDPOINT = "tcp/127.0.0.1:40123"
+RATE = 100.0
+
+STATE = Stream(
+    "state",
+    (
+        Signal("ball_position", "m", Direction.OUTPUT, description="position of the ball from the pivot"),
+        Signal("servo_angle", "rad", Direction.INPUT, hold=Hold.LINEAR, description="angle of the gear disc"),
+    ),
+    RATE,
+)
+
+
+class StillLab:
+    """What the screen asks of a lab, answered from fixed data: one live device, one silent, one gone."""
+
+    def __init__(self, *, empty: bool = False) -> None:
+        self._empty = empty
+        self.trouble = ""
+        self.latch: Latch | None = None
+        self._bench = StreamWatch(STATE, 1.0, {"plugin": "ball_beam"})
+        n = 2000
+        t = np.arange(n) / RATE
+        t_ns = NOW_NS - np.round((t[-1] - t) * 1e9).astype(np.int64)
+        ball = 0.12 * np.sin(2 * np.pi * 0.23 * t) + 0.05 * np.sin(2 * np.pi * 0.71 * t)
+        servo = np.clip(0.9 * np.sin(2 * np.pi * 0.31 * t), -0.7, 0.7)
+        self._bench.ring.append(Batch(np.arange(n), t_ns, t_ns, np.column_stack([ball, servo])))
+
+    def devices(self) -> list[tuple[str, DeviceView]]:
+        if self._empty:
+            return []
+        good = Beat(99.98, 0.004, False, 0, 2000, 0.0006, 0.0021)
+        late = Beat(None, 2.3, True, 14, 812, None, None)
+        told = {"plugin": "ball_beam", "address": "/dev/ttyACM0", "firmware": "1.4.0", "serial": "BB-0007"}
+        leased = Said(NOW_NS - 12_000_000_000, "bench", "leased", "lease taken by 'run two-sine'")
+        quiet = Said(NOW_NS - 2_300_000_000, "spare", "quiet", "the device sends no samples")
+        run = "run two-sine-identify"
+        return [
+            (
+                ENDPOINT,
+                DeviceView(
+                    "bench", "active", "commanded", run, good, STATE, 1.0, told, (0.0312, -0.25), leased
+                ),
+            ),
+            (
+                ENDPOINT,
+                DeviceView("spare", "idle", "connected", None, late, STATE, 1.0, told, (0.11, 0.0), quiet),
+            ),
+            (ENDPOINT, DeviceView("old", "gone", "", None, None, None, 1.0, {}, (), None)),
+        ]
+
+    def places(self) -> list[Place]:
+        return [] if self._empty else [Place(ENDPOINT, "bench", "state", signal) for signal in STATE.signals]
+
+    def stream(self, _place: Place) -> StreamWatch:
+        return self._bench
+
+    def events(self) -> list[Said]:
+        if self._empty:
+            return []
+        return [
+            Said(NOW_NS - 13_000_000_000, "run", "starting", "starting"),
+            Said(NOW_NS - 12_000_000_000, "bench", "leased", "lease taken by 'run two-sine-identify'"),
+            Said(NOW_NS - 12_000_000_000, "run", "running", "all devices are connected"),
+            Said(
+                NOW_NS - 1_000_000_000,
+                "spare",
+                "tripped",
+                "ball_position 0.26 m is beyond its limit of 0.24 m",
+            ),
+        ]
+
+    def stop_all(self, reason: str) -> Outcome:
+        self.latch = Latch("the terminal UI", reason, NOW_NS * 1e-9)
+        return Outcome({"bench": "latched"}, {}, ("spare",))
+
+    def release(self) -> None:
+        self.latch = None

@@ -1,0 +1,198 @@
+"""The screen at work: a real twin, a real run, and every way in which the screen may end."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import pty
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from textual.pilot import Pilot
+from textual.widgets import DataTable
+
+from labhil.bus.latch import read_latch
+from labhil.bus.register import running
+from labhil.recording.reader import Recording, read_recording
+from labhil.tui.app import LabApp
+from labhil.tui.dialogs import Confirm
+from labhil.tui.lab import Lab
+
+PATIENCE = 100.0
+
+pytestmark = pytest.mark.timeout(300)
+
+EXPERIMENT = """
+[experiment]
+name = "pilot"
+[devices.bench]
+plugin = "ball_beam"
+address = "twin"
+twin = { speed = 2.0, seed = 1 }
+[[steps]]
+device = "bench"
+signal = "servo_angle"
+excitation = "two_sine"
+frequencies = [0.23, 0.31]
+amplitude = 0.3
+stabilise = { on = "ball_position", kp = 7.0, kd = 3.0 }
+duration = 300.0
+"""
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Path:
+    (tmp_path / "pilot.toml").write_text(EXPERIMENT, encoding="utf-8")
+    return tmp_path
+
+
+async def until(pilot: Pilot[None], condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline, "it did not come to that"
+        await pilot.pause(0.05)
+
+
+async def in_state(pilot: Pilot[None], app: LabApp, state: str) -> None:
+    await until(pilot, lambda: app.runner.state == state)
+
+
+def only_recording(folder: Path) -> Recording:
+    (path,) = folder.glob("*.mcap")
+    return read_recording(path)
+
+
+def kinds(recording: Recording, device: str) -> list[str]:
+    return [
+        str(event.body["kind"])
+        for event in recording.events
+        if event.device == device and event.topic == "event"
+    ]
+
+
+def test_two_keys_start_the_first_experiment_which_can_be_paused_resumed_and_stopped(bench: Path) -> None:
+    async def drive() -> None:
+        with Lab() as lab:
+            app = LabApp(bench, lab)
+            async with app.run_test(size=(100, 30)) as pilot:
+                await pilot.press("3", "enter")
+                await in_state(pilot, app, "running")
+                await until(pilot, lambda: [view.holder for _, view in lab.devices()] == ["run pilot"])
+                await pilot.press("p")
+                await in_state(pilot, app, "paused")
+                await pilot.press("r")
+                await in_state(pilot, app, "running")
+                await pilot.press("s")
+                await in_state(pilot, app, "finished")
+                await pilot.press("4")
+                await until(pilot, lambda: app.query_one("#recordings-table", DataTable).row_count == 1)
+
+    asyncio.run(drive())
+    recording = only_recording(bench)
+    assert recording.complete
+    assert recording.metadata["end"]["exit_status"] == "0"
+    told = kinds(recording, "run")
+    assert [kind for kind in told if kind in ("paused", "stopping", "finished")] == [
+        "paused",
+        "stopping",
+        "finished",
+    ]
+    assert "safe" in kinds(recording, "bench")
+    assert running() == ()
+
+
+@pytest.mark.extended
+def test_the_emergency_stop_ends_the_run_and_holds_until_it_is_released(bench: Path) -> None:
+    async def drive() -> None:
+        with Lab() as lab:
+            app = LabApp(bench, lab)
+            async with app.run_test(size=(100, 30)) as pilot:
+                await pilot.press("3", "enter")
+                await in_state(pilot, app, "running")
+                await pilot.press("1", "f12")
+                await in_state(pilot, app, "failed")
+                await until(pilot, lambda: app.outcome is not None)
+                assert read_latch() is not None
+                await pilot.press("3", "enter")
+                await pilot.pause(0.5)
+                assert app.runner.state == "failed", "nothing starts while the stop stands"
+                await pilot.press("f9")
+                await until(pilot, lambda: isinstance(app.screen, Confirm))
+                await pilot.press("y")
+                await until(pilot, lambda: app.stopped is None)
+                assert read_latch() is None
+
+    asyncio.run(drive())
+    recording = only_recording(bench)
+    assert recording.complete
+    assert recording.metadata["end"]["exit_status"] == "1"
+
+
+@pytest.mark.extended
+def test_quitting_asks_while_a_run_is_on_and_ends_it_in_order(bench: Path) -> None:
+    async def drive() -> None:
+        with Lab() as lab:
+            app = LabApp(bench, lab)
+            async with app.run_test(size=(80, 24)) as pilot:
+                await pilot.press("3", "enter")
+                await in_state(pilot, app, "running")
+                await pilot.press("q")
+                await until(pilot, lambda: isinstance(app.screen, Confirm))
+                await pilot.press("n")
+                await pilot.pause(0.2)
+                assert app.runner.state == "running"
+                await pilot.press("q")
+                await until(pilot, lambda: isinstance(app.screen, Confirm))
+                await pilot.press("y")
+                await until(pilot, lambda: not app.runner.active)
+
+    asyncio.run(drive())
+    recording = only_recording(bench)
+    assert recording.complete
+    assert recording.metadata["end"]["reason"] == "the terminal UI is quit"
+
+
+@pytest.mark.extended
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
+def test_however_the_screen_ends_the_run_ends_in_order(bench: Path, how: signal.Signals) -> None:
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-P", "-m", "labhil", "tui", "--folder", str(bench)]
+    screen = subprocess.Popen(
+        command, stdin=theirs, stdout=theirs, stderr=theirs, env={**os.environ, "TERM": "xterm-256color"}
+    )
+    os.close(theirs)
+    drain = subprocess.Popen(["cat"], stdin=ours, stdout=subprocess.DEVNULL)
+    try:
+        time.sleep(4.0)
+        os.write(ours, b"3")
+        time.sleep(2.0)
+        os.write(ours, b"\r")
+        wait(lambda: any(entry.kind == "host" for entry in running()))
+        wait(lambda: any(bench.glob("*.mcap.part")))
+        time.sleep(2.0)
+        screen.send_signal(how)
+        screen.wait(PATIENCE)
+        wait(lambda: any(bench.glob("*.mcap")))
+        wait(lambda: running() == ())
+    finally:
+        screen.kill()
+        screen.wait()
+        os.close(ours)
+        drain.kill()
+        drain.wait()
+    recording = only_recording(bench)
+    assert recording.complete
+    assert recording.metadata["end"]["exit_status"] == "0"
+    assert "terminal UI" in recording.metadata["end"]["reason"]
+
+
+def wait(condition: Callable[[], object]) -> None:
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline, "it did not come to that"
+        time.sleep(0.05)

@@ -1,0 +1,131 @@
+"""Every screen as a picture, small and large, from fixed data and with clocks that stand.
+
+``LABHIL_DRAW_SCREENS=1 pytest tests/tui/test_screens.py -m ''`` draws them anew; look at each of them
+before you keep it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import gzip
+import os
+import sys
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+
+import pytest
+from textual.pilot import Pilot
+
+from labhil.tui import lab as labs
+from labhil.tui.app import LabApp
+from labhil.tui.themes import DARK, LIGHT
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from still import NOW_NS, StillLab
+
+SCREENS = Path(__file__).parent / "screens"
+SMALL, LARGE = (80, 24), (160, 50)
+SETTLED = 0.15
+
+Go = Callable[[Pilot[None], LabApp], Awaitable[None]]
+
+
+def keys(*pressed: str) -> Go:
+    async def go(pilot: Pilot[None], _app: LabApp) -> None:
+        for key in pressed:
+            await pilot.press(key)
+            await settle(pilot)
+
+    return go
+
+
+async def running(pilot: Pilot[None], app: LabApp) -> None:
+    runner = app.runner
+    runner.state, runner.name, runner.elapsed, runner.duration = "running", "two-sine-identify", 23.4, 60.0
+    await keys("3")(pilot, app)
+
+
+async def stopped(pilot: Pilot[None], app: LabApp) -> None:
+    await keys("1", "f12")(pilot, app)
+
+
+SHOWN: dict[str, Go] = {
+    "devices": keys("1"),
+    "live": keys("2"),
+    "experiment": running,
+    "recordings": keys("4", "space", "down", "t"),
+    "recording": keys("4", "enter"),
+    "results": keys("5"),
+    "stopped": stopped,
+}
+
+
+async def settle(pilot: Pilot[None]) -> None:
+    """Wait until threads have told what they read and all of it is drawn."""
+    await pilot.pause(SETTLED)
+    await pilot.app.workers.wait_for_complete()
+    await pilot.pause(SETTLED)
+
+
+async def picture(folder: Path, go: Go, size: tuple[int, int], theme: str, empty: bool = False) -> str:
+    app = LabApp(folder, StillLab(empty=empty), theme=theme)  # type: ignore[arg-type]
+    async with app.run_test(size=size) as pilot:
+        await settle(pilot)
+        await go(pilot, app)
+        await settle(pilot)
+        return app.export_screenshot()
+
+
+def check(name: str, found: str, tmp_path: Path) -> None:
+    """Compare with the picture that is kept; where they differ, leave both to be looked at."""
+    kept = SCREENS / f"{name}.svg.gz"
+    if os.environ.get("LABHIL_DRAW_SCREENS"):
+        kept.write_bytes(gzip.compress(found.encode(), mtime=0))
+    expected = gzip.decompress(kept.read_bytes()).decode()
+    if found != expected:
+        was, now = tmp_path / f"{name}.was.svg", tmp_path / f"{name}.now.svg"
+        was.write_text(expected, encoding="utf-8")
+        now.write_text(found, encoding="utf-8")
+        pytest.fail(f"{name} looks different: expected {was}, found {now}")
+
+
+@pytest.fixture(autouse=True)
+def clocks_stand_still(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(labs, "clock_ns", lambda: NOW_NS)
+
+
+def draw(name: str, folder: Path, tmp_path: Path, size: tuple[int, int], theme: str = DARK.name) -> None:
+    found = asyncio.run(picture(folder, SHOWN[name], size, theme))
+    sort = "" if theme == DARK.name else "-light"
+    check(f"{name}-{size[0]}x{size[1]}{sort}", found, tmp_path)
+
+
+@pytest.mark.parametrize("name", ["devices", "live", "experiment", "results"])
+def test_a_small_terminal_shows_all_that_matters(name: str, folder: Path, tmp_path: Path) -> None:
+    draw(name, folder, tmp_path, SMALL)
+
+
+@pytest.mark.extended
+@pytest.mark.parametrize("name", ["recordings", "recording", "stopped"])
+def test_a_small_terminal_shows_the_rest_too(name: str, folder: Path, tmp_path: Path) -> None:
+    draw(name, folder, tmp_path, SMALL)
+
+
+@pytest.mark.extended
+@pytest.mark.parametrize("name", SHOWN)
+def test_a_large_terminal_uses_its_room(name: str, folder: Path, tmp_path: Path) -> None:
+    draw(name, folder, tmp_path, LARGE)
+
+
+@pytest.mark.extended
+@pytest.mark.parametrize("name", SHOWN)
+def test_the_light_theme(name: str, folder: Path, tmp_path: Path) -> None:
+    draw(name, folder, tmp_path, SMALL, LIGHT.name)
+
+
+@pytest.mark.extended
+def test_with_nothing_there_the_first_screen_says_what_to_do(folder: Path, tmp_path: Path) -> None:
+    found = asyncio.run(picture(folder, keys("1"), SMALL, DARK.name, empty=True))
+    assert "Enter" in found
+    check("empty-80x24", found, tmp_path)
