@@ -7,11 +7,12 @@ nothing else. Limits, leases, watchdogs, the bus and the recording belong to its
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import ClassVar, Protocol, Self, runtime_checkable
+from typing import Protocol, Self, runtime_checkable
 
 from labhil.signals import Batch, Signal, Stream
 
@@ -22,7 +23,8 @@ class DriverSpec:
 
     ``commands`` are the signals that can be set; ``safe`` gives each its value in the safe state
     (ball and beam: level; solenoid: 0 A). ``command_timeout`` (s of the device's clock) is how long
-    the device itself waits for any valid message before it goes there on its own.
+    the device itself waits for any valid message before it goes there on its own; ``longest_output``
+    (s of it) is how long it holds another output without a break, infinite where nothing is declared.
     """
 
     name: str
@@ -33,6 +35,7 @@ class DriverSpec:
     safe: Mapping[str, float]
     command_timeout: float
     address_help: str
+    longest_output: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,9 +70,13 @@ class Driver(Protocol):
 
     A driver is used by one thread at a time, except that ``safe`` and ``close`` may be called from
     any. Constructing one does no I/O.
+
+    ``spec`` of the class declares everything that such a device may have. Where a device says what is
+    fitted to it and how fast it samples, ``spec`` of a driver that is connected is that one's: its
+    stream may have fewer signals (one that is not there is absent) and another rate.
     """
 
-    spec: ClassVar[DriverSpec]
+    spec: DriverSpec
     counters: Counters
 
     def __init__(self, address: str) -> None: ...
