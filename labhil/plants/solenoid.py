@@ -198,7 +198,8 @@ class SolenoidPlant:
         """
         before = self.drive.time
         rows, ends = self.drive.advance(current)
-        slope = np.diff(current, prepend=self._now) / np.diff(ends, prepend=before)
+        slope = np.append(current[0] - self._now, current[1:] - current[:-1])
+        slope /= np.append(ends[0] - before, ends[1:] - ends[:-1])
         self._now, self._slope = float(current[-1]), float(slope[-1])
         return self._measure(rows, current, slope, ends)
 

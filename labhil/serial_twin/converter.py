@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from labhil.link import ChannelScale
@@ -11,37 +9,28 @@ from labhil.serial_twin.firmware import Raw
 from labhil.signals import FloatArray
 
 
-@dataclass(frozen=True, slots=True)
 class Converter:
-    """Whole numbers of ``bits`` bits for ``low`` … ``high`` (SI); what lies beyond is an end of the range."""
+    """Whole numbers of ``bits`` bits for ``low`` … ``high`` (SI); what lies beyond is an end of the range.
 
-    low: float
-    high: float
-    bits: int
+    ``scale`` says what its numbers mean.
+    """
 
-    @property
-    def scale(self) -> ChannelScale:
-        """What its numbers mean."""
-        step = np.float32((self.high - self.low) / (1 << self.bits))
-        return ChannelScale(float(step), float(np.rint(-self.low / step)))
+    def __init__(self, low: float, high: float, bits: int) -> None:
+        step = np.float32((high - low) / (1 << bits))
+        self.scale = ChannelScale(float(step), float(np.rint(-low / step)))
+        self._last = (1 << bits) - 1
 
     def raw(self, values: FloatArray) -> Raw:
         """Numbers (n,) of the values (n,)."""
-        scale = self.scale
-        counts = np.rint(values / scale.scale + scale.zero)
-        return np.clip(counts, 0, (1 << self.bits) - 1).astype(np.uint16)
+        counts = np.rint(values / self.scale.scale + self.scale.zero)
+        return np.minimum(np.maximum(counts, 0.0), self._last).astype(np.uint16)
 
 
-@dataclass(frozen=True, slots=True)
 class Counter:
     """A counter of ``step`` (SI) that wraps at 16 bits, such as an encoder's."""
 
-    step: float
-
-    @property
-    def scale(self) -> ChannelScale:
-        """What its numbers mean."""
-        return ChannelScale(float(np.float32(self.step)), 0.0)
+    def __init__(self, step: float) -> None:
+        self.scale = ChannelScale(float(np.float32(step)), 0.0)
 
     def raw(self, values: FloatArray) -> Raw:
         """Numbers (n,) of the values (n,); an encoder counts the edges that it has passed."""
