@@ -15,8 +15,6 @@ from labhil.serial_twin.wires import Wire
 
 IDLE = 0.02
 """How often (s) an unattended twin looks for a client."""
-PATIENCE = 0.05
-"""How far (s) a twin may fall behind and still catch up; beyond that its world has paused."""
 GARBAGE = 300
 
 
@@ -95,7 +93,7 @@ class Bench:
     def _go_on(self, wire: Wire) -> None:
         now = time.monotonic()
         self._firmware.watch(now)
-        if now - self._due > PATIENCE + (self._per_turn - 1) * self._pace:
+        if now - self._due > self._firmware.board.patience + (self._per_turn - 1) * self._pace:
             self._due = now
         if now >= self._due + (self._per_turn - 1) * self._pace:
             self._take_samples(now, now)

@@ -41,7 +41,8 @@ class Board:
     ``safe`` is the raw command in the safe state and ``allowed`` what becomes of one that is asked for;
     ``sample_rate`` in Hz of its clock, which runs at ``speed`` and shows ``clock_start`` s at boot.
     Samples are sent ``per_frame`` at a time, or each as a STATE where that is 0. An output other than
-    the safe one lasts ``longest_output`` s at most.
+    the safe one lasts ``longest_output`` s at most. A twin of it that falls behind by less than
+    ``patience`` s of the host's time catches up.
     """
 
     device: str
@@ -53,6 +54,7 @@ class Board:
     clock_start: float = 0.0
     per_frame: int = 0
     longest_output: float = math.inf
+    patience: float = 0.05
 
 
 class Firmware:

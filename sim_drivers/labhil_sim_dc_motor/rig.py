@@ -18,6 +18,9 @@ LARGEST = 12_000
 VOLTAGE = ChannelScale(1e-3, float(STILL))
 COLDEST, HOTTEST = -40.0, 215.0
 
+PATIENCE = 0.25
+"""s; nothing falls down while its controller is away."""
+
 
 class DcMotorBench:
     """A motor whose voltage is held from sample to sample.
@@ -50,6 +53,7 @@ class DcMotorBench:
             settings.wire.clock_start,
             int(device["samples_per_frame"]),
             device["longest_output"],
+            patience=PATIENCE,
         )
         self._begun = 0
         self.begin()

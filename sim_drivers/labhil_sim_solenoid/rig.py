@@ -20,6 +20,9 @@ LOWEST_FORCE, HIGHEST_FORCE = -10.0, 110.0
 MARGIN = 0.1
 """Share of the stroke by which the position sensor reaches beyond the stops."""
 
+PATIENCE = 0.25
+"""s; nothing falls down while its controller is away."""
+
 
 class SolenoidBench:
     """The coil's current follows the command through the device's PI; the plunger follows the current.
@@ -53,6 +56,7 @@ class SolenoidBench:
             settings.wire.clock_start,
             int(device["samples_per_frame"]),
             device["longest_output"],
+            patience=PATIENCE,
         )
         self._begun = 0
         self.begin()
