@@ -86,6 +86,7 @@ class Bench:
 
     def _listen(self, wire: Wire) -> None:
         now = time.monotonic()
+        self._pause_where_late(now)
         # samples that were due before a command came are taken without it, but for the newest
         self._take_samples(now - self._pace, now)
         self._send(self._firmware.receive(wire.read(), now), now)
@@ -93,12 +94,16 @@ class Bench:
     def _go_on(self, wire: Wire) -> None:
         now = time.monotonic()
         self._firmware.watch(now)
-        if now - self._due > self._firmware.board.patience + (self._per_turn - 1) * self._pace:
-            self._due = now
+        self._pause_where_late(now)
         if now >= self._due + (self._per_turn - 1) * self._pace:
             self._take_samples(now, now)
         while self._on_the_way and self._on_the_way[0][0] <= now:
             wire.write(self._on_the_way.popleft()[1])
+
+    def _pause_where_late(self, now: float) -> None:
+        """What cannot be caught up has not happened: the world has stood still."""
+        if now - self._due > self._firmware.board.patience + (self._per_turn - 1) * self._pace:
+            self._due = now
 
     def _take_samples(self, until: float, now: float) -> None:
         """Take the samples that are due by ``until``."""
