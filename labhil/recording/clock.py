@@ -79,7 +79,7 @@ def fit_clock(t_hw_ns: IntArray, t_acq_ns: IntArray, origin_ns: int, speed: floa
             break
         good = kept
     if LARGEST_DRIFT < slope < LONGEST_PAUSES and _is_even(device):
-        return ClockFit(device + float(np.min(delay)), 0.0, 0.0, 0, device_clock=True)
+        return ClockFit(device + float(np.median(delay)), 0.0, 0.0, 0, device_clock=True)
     if abs(slope) > LARGEST_DRIFT:
         return ClockFit(host, 0.0, 0.0, 0, device_clock=False)
     outliers = int(np.count_nonzero(~good))
