@@ -19,19 +19,32 @@ EXCURSION = {"solenoid": {"coil_current_command": 0.5}, "dc_motor": {"voltage": 
 DRIVERS = {"solenoid": SolenoidDriver, "dc_motor": DcMotorDriver}
 
 
+@pytest.fixture(scope="class")
+def solenoid_twin(twin_of):
+    with twin_of("solenoid", "tcp", load_cell=1.0) as (address, _):
+        yield address
+
+
+@pytest.fixture(scope="class")
+def fast_solenoid_twin(twin_of):
+    with twin_of("solenoid", sample_rate=10_000.0, samples_per_frame=20.0) as (address, _):
+        yield address
+
+
+@pytest.fixture(scope="class")
+def motor_twin(twin_of):
+    with twin_of("dc_motor", "pty", 5.0, temperature_sensor=1.0) as (address, _):
+        yield address
+
+
 @pytest.mark.extended
 class TestSolenoid(DriverContract):
     driver = SolenoidDriver
     excursion = EXCURSION["solenoid"]
 
-    @pytest.fixture(scope="class")
-    def twin(self, twin_of):
-        with twin_of("solenoid", "tcp", load_cell=1.0) as (address, _):
-            yield address
-
     @pytest.fixture
-    def driver_address(self, twin):
-        return twin
+    def driver_address(self, solenoid_twin):
+        return solenoid_twin
 
 
 @pytest.mark.extended
@@ -39,14 +52,9 @@ class TestSolenoidAtTenKilohertz(DriverContract):
     driver = SolenoidDriver
     excursion = EXCURSION["solenoid"]
 
-    @pytest.fixture(scope="class")
-    def twin(self, twin_of):
-        with twin_of("solenoid", sample_rate=10_000.0, samples_per_frame=20.0) as (address, _):
-            yield address
-
     @pytest.fixture
-    def driver_address(self, twin):
-        return twin
+    def driver_address(self, fast_solenoid_twin):
+        return fast_solenoid_twin
 
 
 @pytest.mark.extended
@@ -54,14 +62,9 @@ class TestMotor(DriverContract):
     driver = DcMotorDriver
     excursion = EXCURSION["dc_motor"]
 
-    @pytest.fixture(scope="class")
-    def twin(self, twin_of):
-        with twin_of("dc_motor", "pty", 5.0, temperature_sensor=1.0) as (address, _):
-            yield address
-
     @pytest.fixture
-    def driver_address(self, twin):
-        return twin
+    def driver_address(self, motor_twin):
+        return motor_twin
 
 
 @pytest.mark.parametrize("kind", DRIVERS)
