@@ -7,11 +7,12 @@ nothing else. Limits, leases, watchdogs, the bus and the recording belong to its
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import ClassVar, Protocol, Self, runtime_checkable
+from typing import Protocol, Self, runtime_checkable
 
 from labhil.signals import Batch, Signal, Stream
 
@@ -24,7 +25,8 @@ class DriverSpec:
     (ball and beam: level; solenoid: 0 A), unless it is to stay what it is then (an arm stops and
     holds). A vector such as six joints is commanded by its columns, ``target_q_0``, ``target_q_1``, ….
     ``command_timeout`` (s of the device's clock) is how long the device itself waits for any valid
-    message before it goes there on its own.
+    message before it goes there on its own; ``longest_output`` (s of it) is how long it holds another
+    output without a break, infinite where nothing is declared.
 
     ``waypoint_rate`` (Hz) is for a :class:`TimedDriver`: how often it wants to be told where to be.
     ``approach`` names commands that have to stand where a run begins before the run's clock starts, and
@@ -40,6 +42,7 @@ class DriverSpec:
     safe: Mapping[str, float]
     command_timeout: float
     address_help: str
+    longest_output: float = math.inf
     waypoint_rate: float = 0.0
     approach: Mapping[str, float] = field(default_factory=dict)
     ready: Mapping[str, float] = field(default_factory=dict)
@@ -81,9 +84,13 @@ class Driver(Protocol):
 
     A driver is used by one thread at a time, except that ``safe`` and ``close`` may be called from
     any. Constructing one does no I/O.
+
+    ``spec`` of the class declares everything that such a device may have. Where a device says what is
+    fitted to it and how fast it samples, ``spec`` of a driver that is connected is that one's: its
+    stream may have fewer signals (one that is not there is absent) and another rate.
     """
 
-    spec: ClassVar[DriverSpec]
+    spec: DriverSpec
     counters: Counters
 
     def __init__(self, address: str) -> None: ...

@@ -23,7 +23,9 @@ from binascii import crc_hqx
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
+import numpy as np
 from cobs import cobs
+from numpy.typing import NDArray
 
 from labhil.errors import ProtocolError
 
@@ -37,6 +39,8 @@ _CRC = struct.Struct("<H")
 _HELLO = struct.Struct("<HBBB16s16sIIffB")
 _CHANNEL = struct.Struct("<ff")
 _CONFIG = struct.Struct("<H")
+_LONGEST_OUTPUT = struct.Struct("<H")
+_SAMPLES = struct.Struct("<BBI")
 
 
 class MessageType(IntEnum):
@@ -56,6 +60,8 @@ class MessageType(IntEnum):
     """Say HELLO."""
     CONFIG = 7
     """The host's configuration, sent after every HELLO."""
+    SAMPLES = 8
+    """Several samples in a row, from a device that samples faster than frames are worth sending."""
 
 
 class StateFlag(IntFlag):
@@ -65,6 +71,8 @@ class StateFlag(IntFlag):
     """It has received CONFIG since it booted."""
     SAFE = 2
     """Its output is the safe one: it was told so, or the host fell silent, or nothing was set yet."""
+    EXPIRED = 4
+    """Its output lasted longer than is allowed: it is the safe one, and SET does nothing until SAFE."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,10 +87,15 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class ChannelScale:
-    """What a raw number means: value (SI) = (raw − ``zero``) · ``scale``."""
+    """What a raw number means: value (SI) = (raw − ``zero``) · ``scale``; a scale of 0: not fitted."""
 
     scale: float
     zero: float
+
+    @property
+    def fitted(self) -> bool:
+        """Whether the device has this channel at all; one that it has not stands in no sample."""
+        return self.scale != 0.0
 
     def value(self, raw: int) -> float:
         """Return the value (SI) of a raw number."""
@@ -172,6 +185,35 @@ class State:
         return cls(flags, tuple(raw))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """Payload of SAMPLES: u8 of :class:`StateFlag` (at the last), u8 count, u32 ``first``, the samples.
+
+    ``first`` numbers the first sample since boot, from 0; ``raw`` is u16 of shape (count, channels that
+    are fitted). The frame's ``t_us`` is the time of the first sample, each other one comes a period of
+    HELLO's ``sample_rate`` later.
+    """
+
+    flags: int
+    first: int
+    raw: NDArray[np.uint16]
+
+    def pack(self) -> bytes:
+        """Return the payload's bytes."""
+        head = _SAMPLES.pack(self.flags, len(self.raw), self.first & 0xFFFFFFFF)
+        return head + self.raw.astype("<u2").tobytes()
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Samples:
+        """Read a payload; ProtocolError when it does not hold whole samples."""
+        count = payload[1] if len(payload) > _SAMPLES.size else 0
+        if count == 0 or (len(payload) - _SAMPLES.size) % (2 * count):
+            raise _wrong_length("SAMPLES", f"{_SAMPLES.size} and 2 for each channel of each sample", payload)
+        flags, _, first = _SAMPLES.unpack_from(payload)
+        raw = np.frombuffer(payload, dtype="<u2", offset=_SAMPLES.size).reshape(count, -1)
+        return cls(flags, first, raw.astype(np.uint16))
+
+
 @dataclass(frozen=True, slots=True)
 class SetCommand:
     """Payload of SET: one u16 per command, scaled as the channel in STATE that shows it in effect."""
@@ -192,20 +234,28 @@ class SetCommand:
 
 @dataclass(frozen=True, slots=True)
 class Config:
-    """Payload of CONFIG: u16 ``command_timeout_ms``, after which a device left alone goes safe."""
+    """Payload of CONFIG: u16 ``command_timeout_ms``, after which a device left alone goes safe.
+
+    For devices with a limit on how long an output lasts a u16 ``longest_output_s`` follows: an output
+    other than the safe one ends after that many seconds without a break, or earlier by the device's own.
+    """
 
     command_timeout_ms: int
+    longest_output_s: int | None = None
 
     def pack(self) -> bytes:
         """Return the payload's bytes."""
-        return _CONFIG.pack(self.command_timeout_ms)
+        head = _CONFIG.pack(self.command_timeout_ms)
+        return head if self.longest_output_s is None else head + _LONGEST_OUTPUT.pack(self.longest_output_s)
 
     @classmethod
     def unpack(cls, payload: bytes) -> Config:
         """Read a payload; ProtocolError when its length is not that of a CONFIG."""
-        if len(payload) != _CONFIG.size:
-            raise _wrong_length("CONFIG", str(_CONFIG.size), payload)
-        return cls(*_CONFIG.unpack(payload))
+        if len(payload) == _CONFIG.size:
+            return cls(*_CONFIG.unpack(payload))
+        if len(payload) != _CONFIG.size + _LONGEST_OUTPUT.size:
+            raise _wrong_length("CONFIG", f"{_CONFIG.size} or {_CONFIG.size + _LONGEST_OUTPUT.size}", payload)
+        return cls(*_CONFIG.unpack_from(payload), *_LONGEST_OUTPUT.unpack_from(payload, _CONFIG.size))
 
 
 def encode(frame: Frame) -> bytes:

@@ -143,3 +143,17 @@ class Batch:
             np.array(t_hw, dtype=np.int64),
             np.array(values, dtype=np.float64).reshape(len(rows), width),
         )
+
+    @classmethod
+    def joined(cls, batches: Sequence[Batch], width: int) -> Batch:
+        """One batch of several of the same stream, in their order."""
+        if len(batches) == 1:
+            return batches[0]
+        if not batches:
+            return cls.empty(width)
+        return cls(
+            np.concatenate([batch.seq for batch in batches]),
+            np.concatenate([batch.t_acq_ns for batch in batches]),
+            np.concatenate([batch.t_hw_ns for batch in batches]),
+            np.concatenate([batch.values for batch in batches]),
+        )

@@ -45,13 +45,16 @@ def test_a_run_plan_loads_nothing_of_the_analysis(tmp_path: Path) -> None:
         "from importlib.resources import files\n"
         "from labhil.experiment.experiment import load_experiment\n"
         "from labhil.experiment.plan import make_plan\n"
-        "make_plan(load_experiment(files('labhil.experiment') / 'examples' / 'ball_beam_test.toml'))\n"
+        "make_plan(load_experiment(files('labhil.experiment') / 'examples' / 'three_rigs.toml'))\n"
     )
     assert loaded(code, ANALYSIS, tmp_path) == []
 
 
 def test_a_host_loads_nothing_of_the_analysis(tmp_path: Path) -> None:
-    code = "import labhil.service.host, labhil.plugins\nlabhil.plugins.load_driver('ball_beam')\n"
+    code = (
+        "import labhil.service.host, labhil.plugins\n"
+        "for name in ('ball_beam', 'dc_motor', 'solenoid'):\n    labhil.plugins.load_driver(name)\n"
+    )
     assert loaded(code, ANALYSIS, tmp_path) == []
 
 

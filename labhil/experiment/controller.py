@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from labhil.errors import ExperimentFileError, UnknownNameError
 from labhil.experiment.excitation.function import Excitation, columns_of
 from labhil.experiment.experiment import Stabilise, TimedStep
 from labhil.signals import Stream
@@ -58,7 +59,7 @@ class Controller:
     """Turns the samples of one device into what is requested of it.
 
     Outside its steps a signal is asked for its safe value. Times are s of the device's clock since
-    the run began.
+    the run began. ExperimentFileError for a step that is to follow a channel that is not fitted.
     """
 
     def __init__(self, steps: Sequence[TimedStep], stream: Stream, safe: Mapping[str, float]) -> None:
@@ -88,6 +89,11 @@ def _drives(timed: TimedStep, stream: Stream) -> list[_Drive]:
     """A drive for the command, or for each column of a vector: ``name_0``, ``name_1``, …"""
     step, feedback = timed.step, None
     if step.stabilise is not None:
+        if step.stabilise.on not in stream.names():
+            missing = UnknownNameError("signal", step.stabilise.on, stream.names())
+            raise ExperimentFileError(
+                f"steps.{timed.index}.stabilise.on: {missing}: the device that is there has no such channel"
+            )
         column = stream.columns_of(step.stabilise.on).start
         feedback = _Feedback(step.stabilise, column, Derivative(step.stabilise.filter))
     parts = columns_of(timed.make())

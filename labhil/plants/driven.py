@@ -120,10 +120,21 @@ class Drive:
         """Time since the plant began, s."""
         return float(self._clock[0])
 
+    @property
+    def row(self) -> FloatArray:
+        """The states and the acting input (states + 1,) now."""
+        return self._row
+
     def step(self, value: float) -> FloatArray:
         """Let one sample period pass; the states and the acting input (1, states + 1) at its end."""
-        rows, _ = self._walk(np.array([value]))
-        return rows
+        return self.advance(np.array([value]))[0]
+
+    def advance(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Let a sample period pass for each of the input's values (n,).
+
+        Returns the states and the acting input at their ends, (n, states + 1), and the ends (n,), s.
+        """
+        return self._walk(values)
 
     def follow(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Go on through the input's values (n,) at the samples, the first of which is now.

@@ -8,9 +8,11 @@ from typing import Protocol
 from labhil.errors import UnknownNameError
 from labhil.plants.axis import AXIS, AxisPlant
 from labhil.plants.ball_beam_rig import BALL_BEAM, BallBeamRig
-from labhil.plants.dc_motor import MOTOR, DcMotorPlant
+from labhil.plants.dc_motor import DcMotorPlant
+from labhil.plants.dc_motor_world import MOTOR
 from labhil.plants.effects import Effect
-from labhil.plants.solenoid import SOLENOID, SolenoidPlant
+from labhil.plants.solenoid import SolenoidPlant
+from labhil.plants.solenoid_world import SOLENOID
 from labhil.plants.trajectory import Trajectory
 from labhil.plants.world import World
 from labhil.signals import FloatArray

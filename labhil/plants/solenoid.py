@@ -10,112 +10,18 @@ import numpy as np
 
 from labhil.compiled import compiled
 from labhil.plants.driven import Drive, kernel_for
-from labhil.plants.effects import Effect
 from labhil.plants.friction import Friction
 from labhil.plants.input_path import InputPath
 from labhil.plants.mover import INNER, SENSOR, Body, V, Work, X
+from labhil.plants.solenoid_world import SOLENOID, STROKE
 from labhil.plants.trajectory import Channel, Stamps, Trajectory, sensed
-from labhil.plants.world import FRICTION, POSITIVE, SAMPLING, WAY_IN, WAY_OUT, World, sized
 from labhil.signals import FloatArray, IntArray
 
 SIGNALS = ("plunger_position", "coil_current", "coil_voltage", "magnetic_force")
-STROKE = 0.005
-COPPER = 0.0039
 SMALL = 1e-10
 """Error of one step over the size of a state; a hysteresis bends within steps."""
 TURNED, EDDY, WARMTH = INNER, INNER + 1, INNER + 2
 """Places of the current at which the hysteresis stands, of the field's lag and of the coil's temperature."""
-
-SOLENOID = World(
-    bare={
-        "moving_mass": 0.064,  # kg
-        "spring_stiffness": 6850.0,  # N/m
-        "stop_low": 0.0,  # m
-        "stop_high": STROKE,  # m
-        "coil_resistance": 4.0,  # Ω
-        "coil_inductance": 0.02,  # H
-        "loop_time": 0.001,  # s, by which the current is behind what is asked of the current loop
-        "heat_capacity": 30.0,  # J/K, of the coil
-        "heat_resistance": 5.0,  # K/W, from the coil to the air
-        "ambient": 25.0,  # °C, where the coil begins
-        "reference_temperature": 25.0,  # °C, at which the coil's resistance is what is said
-        "plunger_position_noise": 1e-5,  # m
-        "coil_current_noise": 0.0,  # A
-        "coil_voltage_noise": 0.0,  # V
-        "magnetic_force_noise": 0.1,  # N
-        "plunger_position_resolution": 0.0,  # m
-        "coil_current_resolution": 0.0,  # A
-        **SAMPLING,
-    },
-    effects={
-        **sized(
-            FRICTION,
-            {
-                "viscous_friction": {"coefficient": 5.0},
-                "coulomb_friction": {"level": 2.0},
-                "stribeck_friction": {"level": 2.0, "velocity": 0.1},
-                "static_friction": {"level": 1.0},
-                "quadratic_viscous_friction": {"coefficient": 20.0},
-                "cubic_viscous_friction": {"coefficient": 100.0},
-                "friction_asymmetry": {"coefficient": 1.0, "level": 0.0},
-                "position_dependent_friction": {"slope": 100.0},
-                "load_dependent_friction": {"coefficient": 0.1},
-                "presliding_friction": {"stiffness": 2e5, "damping": 20.0},
-                "maxwell_slip_friction": {"stiffness": 2e5, "damping": 20.0, "attraction": 1e3},
-            },
-        ),
-        "constant_force": Effect("a constant push, N", {"force": 1.0}),
-        "spring_preload": Effect("a spring that pushes already at rest, N", {"force": 2.0}),
-        "spring_hardening": Effect("a spring that stiffens, N/m³", {"coefficient": 5e7}),
-        "end_stop_contact": Effect("a plunger that bounces at its stops", {"restitution": 0.4}),
-        "eddy_current": Effect("a field that lags behind the current, s", {"time_constant": 0.003}),
-        "magnetic_hysteresis": Effect("a field that remembers where the current turned, A", {"width": 0.1}),
-        "magnetic_saturation": Effect("iron that saturates, 1/A", {"coefficient": 0.05}),
-        "residual_magnetism": Effect("a field that stays without current, A", {"current": 0.08}),
-        "motional_emf": Effect(
-            "a moving plunger induces a voltage: this share of (∂F/∂i)·v", {"share": 1.0}
-        ),
-        "thermal_resistance": Effect(
-            "a coil whose resistance rises with warmth, 1/K", {"coefficient": COPPER}
-        ),
-        "pwm_ripple": Effect(
-            "the amplifier's switching on current (A) and voltage (V), Hz",
-            {"current": 0.02, "voltage": 0.5, "frequency": 20013.0},
-        ),
-        **sized(
-            WAY_IN,
-            {
-                "time_delay": {"delay": 0.002},
-                "dead_zone": {"left": 0.1, "right": 0.1},
-                "saturation": {"limit": 1.5},
-                "backlash": {"gap": 0.1},
-                "actuator_lag": {"time_constant": 0.003},
-                "rate_limit": {"rate": 20.0},
-            },
-        ),
-        **sized(
-            WAY_OUT,
-            {
-                "sensor_offset": {"offset": 1e-4},
-                "sensor_nonlinearity": {"cubic": 2e3},
-                "sensor_lag": {"time_constant": 0.002},
-                "quantisation": {"step": 2e-5},
-            },
-        ),
-    },
-    positive=POSITIVE
-    | {
-        "moving_mass", "spring_stiffness", "coil_resistance", "coil_inductance", "heat_capacity",
-        "heat_resistance", "hidden_latch.width", "hidden_sticky_patch.width",
-    },
-    hidden={
-        "hidden_latch": Effect("a latch at one place", {"pull": 3.0, "place": 0.002, "width": 3e-4}),
-        "hidden_leak": Effect("oil that is pressed out near the far stop, N·s/m", {"damping": 20.0}),
-        "hidden_sticky_patch": Effect(
-            "a place in the guide that rubs harder", {"level": 3.0, "place": 0.0015, "width": 3e-4}
-        ),
-    },
-)  # fmt: skip
 
 
 class Plunger(NamedTuple):
@@ -283,13 +189,19 @@ class SolenoidPlant:
 
     def step(self, current: float) -> Mapping[str, float]:
         """Bring the current straight to ``current`` (A) in one sample period; the signals at its end."""
+        return {name: float(x[0]) for name, x in self.advance(np.array([current])).items()}
+
+    def advance(self, current: FloatArray) -> Mapping[str, FloatArray]:
+        """Bring the current straight to each of the currents (n,) in one sample period after the other.
+
+        Returns the signals at their ends, measured, each (n,).
+        """
         before = self.drive.time
-        rows = self.drive.step(current)
-        taken = self.drive.time - before
-        slope = np.array([(current - self._now) / taken])
-        self._now, self._slope = current, float(slope[0])
-        seen = self._measure(rows, np.array([current]), slope, np.array([self.drive.time]))
-        return {name: float(x[0]) for name, x in seen.items()}
+        rows, ends = self.drive.advance(current)
+        slope = np.append(current[0] - self._now, current[1:] - current[:-1])
+        slope /= np.append(ends[0] - before, ends[1:] - ends[:-1])
+        self._now, self._slope = float(current[-1]), float(slope[-1])
+        return self._measure(rows, current, slope, ends)
 
     def simulate(self, current: FloatArray) -> Trajectory:
         """Go on through the currents (n,) at the samples, straight in between; begins with now.
@@ -311,6 +223,11 @@ class SolenoidPlant:
         }
         return Trajectory(self.drive.stamps.seen(t), seen["coil_current"], seen, truth)
 
+    def coil(self) -> tuple[float, float]:
+        """The coil's resistance (Ω) and what the motion induces in it (V), now."""
+        row = self.drive.row[None]
+        return float(self._resistance(row)[0]), float(self._induced(row, self._magnet(row)[:, 2])[0])
+
     def _magnet(self, rows: FloatArray) -> FloatArray:
         out = np.empty((len(rows), 3))
         magnet(rows, self._plunger, out)
@@ -321,19 +238,25 @@ class SolenoidPlant:
     ) -> dict[str, FloatArray]:
         p = self.parameters
         _, force, per_current = self._magnet(rows).T
-        warmth = rows[:, WARMTH] - p["reference_temperature"]
-        resistance = p["coil_resistance"] * (1.0 + p.get("thermal_resistance.coefficient", 0.0) * warmth)
-        induced = p.get("motional_emf.share", 0.0) * per_current * rows[:, V]
         ripple = np.sin(2.0 * np.pi * p.get("pwm_ripple.frequency", 0.0) * t)
         position = rows[:, SENSOR if "sensor_lag.time_constant" in p else X]
         true = {
             "plunger_position": sensed(position, p),
             "coil_current": i + p.get("pwm_ripple.current", 0.0) * ripple,
-            "coil_voltage": resistance * i
+            "coil_voltage": self._resistance(rows) * i
             + p["coil_inductance"] * slope
-            + induced
+            + self._induced(rows, per_current)
             + p.get("pwm_ripple.voltage", 0.0) * ripple,
             "magnetic_force": force,
         }
         seen = {name: self._channels[name].sample(x) for name, x in true.items()}
         return seen | {"coil_current_command": i + p["loop_time"] * slope}
+
+    def _resistance(self, rows: FloatArray) -> FloatArray:
+        p = self.parameters
+        warmth = rows[:, WARMTH] - p["reference_temperature"]
+        risen = 1.0 + p.get("thermal_resistance.coefficient", 0.0) * warmth
+        return np.asarray(p["coil_resistance"] * risen)
+
+    def _induced(self, rows: FloatArray, per_current: FloatArray) -> FloatArray:
+        return np.asarray(self.parameters.get("motional_emf.share", 0.0) * per_current * rows[:, V])

@@ -29,6 +29,13 @@ SHORTEST_FIT = 1.0
 LARGEST_DRIFT = 0.02
 """A fitted rate further off than that is no drift of a crystal: the stamps are not of one clock."""
 
+LONGEST_PAUSES = 1.0
+"""Seconds that the host may have spent more, per second of a device's clock that is even in itself: a
+simulated device whose world stands still while its machine is busy. Its own time is the right one."""
+
+EVEN = 1e-3
+"""Share of a period by which steps of an even clock differ from whole periods."""
+
 
 @dataclass(frozen=True, slots=True)
 class ClockFit:
@@ -73,7 +80,8 @@ def fit_clock(
 
     ``speed`` is how many seconds of the device's world pass in one second of the host: host times are
     multiplied by it. Where the device's clock does not advance with every sample, or runs at quite
-    another rate without being ``steady``, the host's stamps are used as they are.
+    another rate, the host's stamps are used as they are; where the device is ``steady``, or its world has
+    paused now and then, its own clock is.
     """
     host: FloatArray = np.asarray((t_acq_ns - origin_ns) * (1e-9 * speed), dtype=np.float64)
     if len(host) < 3 or not (np.diff(t_hw_ns) > 0).all():
@@ -93,7 +101,8 @@ def fit_clock(
         if np.array_equal(kept, good):
             break
         good = kept
-    if abs(slope) > LARGEST_DRIFT and steady:
+    paused = LARGEST_DRIFT < slope < LONGEST_PAUSES and _is_even(device)
+    if paused or (abs(slope) > LARGEST_DRIFT and steady):
         return ClockFit(device + float(np.median(delay)), 0.0, 0.0, 0, device_clock=True)
     if abs(slope) > LARGEST_DRIFT:
         return ClockFit(host, 0.0, 0.0, 0, device_clock=False)
@@ -112,6 +121,13 @@ def _errors(x: FloatArray, residual: FloatArray) -> tuple[float | None, float | 
     spread = float(np.sqrt(means @ means / (ERROR_BLOCKS - 2)))
     reach = float(np.sqrt(np.sum((places - places.mean()) ** 2)))
     return spread / ERROR_BLOCKS**0.5, spread / reach if reach > 0 else None
+
+
+def _is_even(device: FloatArray) -> bool:
+    """Whether a clock advances by whole periods; lost samples take several."""
+    steps = np.diff(device)
+    periods = steps / np.median(steps)
+    return bool(np.mean(np.abs(periods - np.rint(periods)) < EVEN) > 0.99)
 
 
 def _median_line(x: FloatArray, y: FloatArray) -> tuple[float, float]:

@@ -22,7 +22,7 @@ from labhil.bus.publish import publish_event
 from labhil.bus.register import registered
 from labhil.bus.session import Bus, open_bus
 from labhil.driver import DeviceInfo, Driver
-from labhil.errors import LabhilError
+from labhil.errors import LabhilError, RigFileError
 from labhil.plugins import load_driver
 from labhil.service.control import DeviceControl
 from labhil.service.messages import HostConfig, HostState
@@ -61,6 +61,7 @@ def serve_device(config: HostConfig, ended: EndOfInput) -> str:
     with open_bus(config.connect) as bus:
         try:
             info = driver.connect()
+            refuse_unwatched(driver, config)
             reachable = registered("host", config.device, bus.endpoint, [config.device])
             with reachable, DeviceControl(config, driver, info, bus, ended) as control:
                 say({"ready": described(driver, info)})
@@ -72,6 +73,17 @@ def serve_device(config: HostConfig, ended: EndOfInput) -> str:
         finally:
             driver.safe()
             driver.close()
+
+
+def refuse_unwatched(driver: Driver, config: HostConfig) -> None:
+    """Raise RigFileError for a limit on a channel that such a device may have, but this one has not."""
+    may_have = type(driver).spec.stream.names()
+    for name in config.limits:
+        if name in may_have and name not in driver.spec.stream.names():
+            raise RigFileError(
+                f"limits.{name}: expected a device that watches it, found that {config.address} has no such"
+                " channel fitted: fit it, or take the limit out of the rig file"
+            )
 
 
 def described(driver: Driver, info: DeviceInfo) -> dict[str, Any]:

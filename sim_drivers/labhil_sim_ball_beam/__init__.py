@@ -1,5 +1,5 @@
 """A simulated ball and beam on the real wire: a pty or a TCP port that speaks the framed serial protocol."""
 
-from labhil_sim_ball_beam.twin import TWIN, BallBeamTwin
+from labhil_sim_ball_beam.twin import TWIN
 
-__all__ = ["TWIN", "BallBeamTwin"]
+__all__ = ["TWIN"]

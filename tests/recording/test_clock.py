@@ -84,6 +84,15 @@ def test_a_clock_of_another_world_is_not_used():
     assert fit.t[-1] == pytest.approx(world[-1] / 2, abs=0.01)
 
 
+def test_a_world_that_paused_keeps_its_own_time():
+    """A simulated device on a busy machine: now and then nothing happens in it for a while."""
+    world = np.delete(np.arange(2000), [77, 78, 1500]) * 0.01
+    host = world + 0.08 * np.floor(world / 1.7)
+    fit = fit_clock((world * 1e9).astype(np.int64), START + (host * 1e9).astype(np.int64), START)
+    assert fit.device_clock
+    np.testing.assert_allclose(np.diff(fit.t), np.diff(world), atol=1e-9)
+
+
 def test_a_short_recording_keeps_the_devices_steps():
     _, t_hw_ns, t_acq_ns = stamps(0.0, 2e-3, 0.1, 4, seconds=0.5)
     fit = fit_clock(t_hw_ns, t_acq_ns, START)

@@ -1,8 +1,9 @@
-"""What the wire tests share: a ball-and-beam twin as a process of its own."""
+"""What the wire tests share: twins as processes of their own."""
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import os
 import subprocess
@@ -14,22 +15,27 @@ import pytest
 PROGRAM = """
 import json, sys
 from labhil.driver import TwinOptions
-from labhil_sim_ball_beam import TWIN
-options = json.loads(sys.argv[1])
+from labhil.plugins import load_twin
+options = json.loads(sys.argv[2])
 options["terms"] = None if options["terms"] is None else tuple(options["terms"])
-TWIN.serve(TwinOptions(**options), lambda address: print(address, flush=True))
+load_twin(sys.argv[1]).serve(TwinOptions(**options), lambda address: print(address, flush=True))
 """
 
 
 @contextlib.contextmanager
 def twin_process(
-    wire: str = "pty", speed: float = 1.0, seed: int = 1, terms: list[str] | None = None, **parameters: float
+    kind: str,
+    wire: str = "pty",
+    speed: float = 1.0,
+    seed: int = 1,
+    terms: list[str] | None = None,
+    **parameters: float,
 ) -> Iterator[tuple[str, subprocess.Popen[str]]]:
     """Start a twin; gives its address and its process, and stops it in the end."""
     options = {"wire": wire, "speed": speed, "seed": seed, "terms": terms, "parameters": parameters}
     environment = dict(os.environ, PYTHONPATH=os.pathsep.join(path for path in sys.path if path))
     process = subprocess.Popen(
-        [sys.executable, "-c", PROGRAM, json.dumps(options)],
+        [sys.executable, "-c", PROGRAM, kind, json.dumps(options)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
@@ -47,5 +53,11 @@ def twin_process(
 
 @pytest.fixture(scope="session")
 def ball_beam_twin() -> Callable[..., contextlib.AbstractContextManager[tuple[str, subprocess.Popen[str]]]]:
-    """What starts a twin; see :func:`twin_process`."""
+    """What starts a ball and beam; see :func:`twin_process`."""
+    return functools.partial(twin_process, "ball_beam")
+
+
+@pytest.fixture(scope="session")
+def twin_of() -> Callable[..., contextlib.AbstractContextManager[tuple[str, subprocess.Popen[str]]]]:
+    """What starts a twin of any kind; see :func:`twin_process`."""
     return twin_process

@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from labhil.driver import TwinOptions
@@ -18,15 +19,17 @@ from labhil.link import (
     StateFlag,
     encode,
 )
+from labhil.serial_twin.firmware import COMMAND_TIMEOUT, Firmware
+from labhil.serial_twin.settings import TwinSettings
+from labhil.serial_twin.twin import write_answer
 from labhil_sim_ball_beam import TWIN
-from labhil_sim_ball_beam.firmware import COMMAND_TIMEOUT, LEVEL, Firmware
-from labhil_sim_ball_beam.settings import TwinSettings
-from labhil_sim_ball_beam.twin import write_answer
+from labhil_sim_ball_beam.rig import LEVEL, board
+from labhil_sim_ball_beam.twin import SETTABLE
 
 
 @pytest.fixture
 def firmware():
-    return Firmware(ChannelScale(0.5 / 1024, 512.0), 1.0, 0.0, 10)
+    return Firmware(board(ChannelScale(0.5 / 1024, 512.0), 1.0, 0.0, 1e-6))
 
 
 def say(firmware: Firmware, kind: MessageType, payload: bytes = b"", now: float = 0.0) -> list[Frame]:
@@ -34,22 +37,23 @@ def say(firmware: Firmware, kind: MessageType, payload: bytes = b"", now: float 
 
 
 def flags(firmware: Firmware) -> int:
-    (frame,) = Decoder().feed(firmware.sample(512, LEVEL))
+    (message,) = firmware.samples(np.array([[512, LEVEL]], dtype=np.uint16))
+    (frame,) = Decoder().feed(message)
     return State.unpack(frame.payload).flags
 
 
 def test_the_watchdog_levels_the_beam_and_a_new_command_wakes_it(firmware):
     say(firmware, MessageType.SET, SetCommand((LEVEL + 1000,)).pack(), now=1.0)
     firmware.watch(0.99 + COMMAND_TIMEOUT)
-    assert firmware.pulse == LEVEL + 1000
+    assert firmware.output == LEVEL + 1000
     say(firmware, MessageType.HEARTBEAT, now=1.2)
     firmware.watch(1.19 + COMMAND_TIMEOUT)
-    assert firmware.pulse == LEVEL + 1000
+    assert firmware.output == LEVEL + 1000
     firmware.watch(1.21 + COMMAND_TIMEOUT)
-    assert firmware.pulse == LEVEL
+    assert firmware.output == LEVEL
     assert flags(firmware) & StateFlag.SAFE
     say(firmware, MessageType.SET, SetCommand((LEVEL - 500,)).pack(), now=2.0)
-    assert firmware.pulse == LEVEL - 500
+    assert firmware.output == LEVEL - 500
     assert not flags(firmware) & StateFlag.SAFE
 
 
@@ -57,7 +61,7 @@ def test_a_heartbeat_does_not_undo_safe(firmware):
     say(firmware, MessageType.SET, SetCommand((LEVEL + 1000,)).pack())
     say(firmware, MessageType.SAFE)
     say(firmware, MessageType.HEARTBEAT)
-    assert firmware.pulse == LEVEL
+    assert firmware.output == LEVEL
     assert flags(firmware) & StateFlag.SAFE
 
 
@@ -66,14 +70,14 @@ def test_garbage_and_broken_payloads_do_not_keep_the_watchdog_quiet(firmware):
     firmware.receive(b"\x00garbage\x00", 1.2)
     say(firmware, MessageType.CONFIG, b"\x01", now=1.2)
     firmware.watch(1.1 + COMMAND_TIMEOUT)
-    assert firmware.pulse == LEVEL
+    assert firmware.output == LEVEL
 
 
 def test_the_pulse_has_whole_microseconds_and_ends_at_ninety_degrees(firmware):
     say(firmware, MessageType.SET, SetCommand((LEVEL + 1006,)).pack())
-    assert firmware.pulse == LEVEL + 1010
+    assert firmware.output == LEVEL + 1010
     say(firmware, MessageType.SET, SetCommand((0xFFFF,)).pack())
-    assert firmware.pulse == LEVEL + 5000
+    assert firmware.output == LEVEL + 5000
 
 
 def test_a_boot_forgets_the_configuration_and_is_told_apart(firmware):
@@ -90,14 +94,14 @@ def test_a_boot_forgets_the_configuration_and_is_told_apart(firmware):
 def test_the_answer_holds_everything_and_only_on_request(tmp_path):
     path = tmp_path / "answer.json"
     options = TwinOptions(seed=7, terms=("coulomb_friction",), parameters={"coulomb_friction.level": 0.2})
-    write_answer(path, TwinSettings.of(options))
+    write_answer(path, TwinSettings.of(options, SETTABLE))
     answer = json.loads(path.read_text(encoding="utf-8"))
     assert answer["terms"] == ["coulomb_friction"]
     assert answer["parameters"]["coulomb_friction.level"] == 0.2
     assert answer["parameters"]["ball_mass"] == 0.261
     assert "viscous_friction.coefficient" not in answer["parameters"]
     with pytest.raises(UsageError, match="cannot be written"):
-        write_answer(tmp_path / "no" / "where.json", TwinSettings.of(options))
+        write_answer(tmp_path / "no" / "where.json", TwinSettings.of(options, SETTABLE))
 
 
 @pytest.mark.parametrize(
@@ -125,8 +129,8 @@ def test_every_name_is_documented():
 
 
 def test_a_twin_without_terms_is_the_bare_rig():
-    assert TwinSettings.of(TwinOptions(terms=())).terms == ()
-    assert TwinSettings.of(TwinOptions()).terms == (
+    assert TwinSettings.of(TwinOptions(terms=()), SETTABLE).terms == ()
+    assert TwinSettings.of(TwinOptions(), SETTABLE).terms == (
         "viscous_friction",
         "coulomb_friction",
         "stribeck_friction",

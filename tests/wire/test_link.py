@@ -4,6 +4,7 @@ import json
 import struct
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -17,6 +18,7 @@ from labhil.link import (
     Frame,
     Hello,
     MessageType,
+    Samples,
     SetCommand,
     State,
     Unwrapper,
@@ -40,6 +42,8 @@ def build_payload(kind: MessageType, fields: dict) -> bytes:
         return Hello(**{**fields, "firmware": tuple(fields["firmware"]), "channels": channels}).pack()
     if kind is MessageType.STATE:
         return State(fields["flags"], tuple(fields["raw"])).pack()
+    if kind is MessageType.SAMPLES:
+        return Samples(fields["flags"], fields["first"], np.array(fields["raw"], dtype=np.uint16)).pack()
     if kind is MessageType.SET:
         return SetCommand(tuple(fields["raw"])).pack()
     if kind is MessageType.CONFIG:
@@ -54,6 +58,16 @@ def test_golden_frames_both_ways(vector):
     frame = Frame(int(kind), vector["seq"], vector["t_us"], payload)
     assert encode(frame).hex() == vector["hex"]
     assert Decoder().feed(bytes.fromhex(vector["hex"])) == [frame]
+
+
+@pytest.mark.parametrize(
+    "vector", [v for v in GOLDEN["frames"] if v["type"] == "SAMPLES"], ids=lambda vector: vector["name"]
+)
+def test_golden_samples_are_read_back(vector):
+    (frame,) = Decoder().feed(bytes.fromhex(vector["hex"]))
+    samples = Samples.unpack(frame.payload)
+    assert (samples.flags, samples.first) == (vector["payload"]["flags"], vector["payload"]["first"])
+    assert samples.raw.tolist() == vector["payload"]["raw"]
 
 
 @pytest.mark.parametrize("vector", GOLDEN["refused"], ids=lambda vector: vector["name"])
@@ -113,7 +127,7 @@ def test_unwrapped_counters_go_on_where_the_wire_wraps(steps, start):
         assert unwrapper.unwrap(value & 0xFFFF) == value
 
 
-@pytest.mark.parametrize("message", [Hello, Config, State, SetCommand])
+@pytest.mark.parametrize("message", [Hello, Config, State, SetCommand, Samples])
 def test_payloads_of_wrong_length_are_named(message):
     with pytest.raises(ProtocolError, match=r"expected .* found"):
         message.unpack(b"\x00" * (3 if message in (Config, SetCommand) else 4))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import re
 import select
 import socket
 
@@ -14,16 +15,21 @@ from serial.tools import list_ports
 from labhil.errors import ConnectError
 
 BAUD_RATE = 115200
+"""Unless a rig has its own."""
+OWN_BAUD_RATE = re.compile(r"(/[^@]*|COM\d+)@(\d+)\Z")
 WRITE_TIMEOUT = 1.0
 CHUNK = 4096
 
 
 class Port:
-    """An open port, for us alone. ConnectError when it cannot be opened, and when it goes away."""
+    """An open port, for us alone. ConnectError when it cannot be opened, and when it goes away.
 
-    def __init__(self, address: str) -> None:
+    ``address`` may end in a baud rate of its own: ``/dev/ttyACM0@2000000``.
+    """
+
+    def __init__(self, address: str, baud_rate: int = BAUD_RATE) -> None:
         self.address = address
-        self._serial = _open(address)
+        self._serial = _open(address, baud_rate)
         self._fd = _descriptor(self._serial)
         # pyserial closes a socket only while the other end is still there; see close()
         self._socket: socket.socket | None = getattr(self._serial, "_socket", None)
@@ -69,12 +75,13 @@ def _last_words(connection: socket.socket) -> bytes:
     return data
 
 
-def _open(address: str) -> serial.SerialBase:
+def _open(address: str, baud_rate: int) -> serial.SerialBase:
+    told = OWN_BAUD_RATE.match(address)
     try:
         port = serial.serial_for_url(
-            address,
+            told[1] if told else address,
             do_not_open=True,
-            baudrate=BAUD_RATE,
+            baudrate=int(told[2]) if told else baud_rate,
             timeout=0,
             write_timeout=WRITE_TIMEOUT,
             exclusive=True,

@@ -13,7 +13,7 @@ import socket
 import tty
 from typing import Protocol
 
-UNFETCHED = 16384
+UNFETCHED = 65536
 """How many bytes wait for a client before further messages are lost."""
 
 

@@ -1,54 +1,59 @@
-"""The bench as a whole: plant and firmware, sample by sample, on a wire."""
+"""The bench as a whole: a simulated rig and its firmware on a wire, paced against the clock."""
 
 from __future__ import annotations
 
 import time
 from collections import deque
+from typing import Protocol
 
 import numpy as np
 
-from labhil.link import ChannelScale
-from labhil.plants.ball_beam import BallBeamPlant
-from labhil_sim_ball_beam.ending import Ending
-from labhil_sim_ball_beam.firmware import LEVEL, SAMPLE_RATE, SERVO, Firmware
-from labhil_sim_ball_beam.settings import TwinSettings
-from labhil_sim_ball_beam.wires import Wire
+from labhil.serial_twin.ending import Ending
+from labhil.serial_twin.firmware import Board, Firmware, Raw
+from labhil.serial_twin.settings import TwinSettings
+from labhil.serial_twin.wires import Wire
 
 IDLE = 0.02
 """How often (s) an unattended twin looks for a client."""
-PATIENCE = 0.05
-"""How far (s) a twin may fall behind and still catch up; beyond that its world has paused."""
 GARBAGE = 300
+
+
+class SimulatedRig(Protocol):
+    """A plant with its sensors and its actuator, in raw numbers."""
+
+    board: Board
+
+    def begin(self) -> None:
+        """Put the plant where it begins: a client has opened the wire."""
+        ...
+
+    def rest(self, output: int) -> Raw:
+        """One sample (1, fitted channels) before anything was commanded."""
+        ...
+
+    def samples(self, output: int, count: int) -> Raw:
+        """Let ``count`` sample periods pass under that command; what is sampled (count, channels)."""
+        ...
 
 
 class Bench:
     """A simulated rig with its microcontroller.
 
-    Sample k of the device's clock happens k/(100·speed) seconds after the client came, by the
+    Sample k of the device's clock happens k/(rate·speed) seconds after the client came, by the
     monotonic clock. Small delays are caught up, for a world that paused would bend the device's
     clock; after a long one it has paused, rather than run on without its controller.
     """
 
-    def __init__(self, settings: TwinSettings) -> None:
+    def __init__(self, settings: TwinSettings, rig: SimulatedRig) -> None:
         self._wire_settings = settings.wire
-        period = 1.0 / SAMPLE_RATE / (1.0 + 1e-6 * settings.wire.clock_drift)
-        self._pace = period / settings.speed
+        board = rig.board
+        self._pace = 1.0 / board.sample_rate / (1.0 + 1e-6 * settings.wire.clock_drift) / settings.speed
         self._speed = settings.speed
-        self._plant = BallBeamPlant(settings.plant, settings.terms, settings.seed, period)
-        self._warm_up(settings, period)
-        sensor = self._plant.sensor
-        pulse_step = max(round(settings.wire.pulse_resolution / 1e-7), 1)
-        position = ChannelScale(sensor.scale, float(sensor.zero))
-        self._firmware = Firmware(position, settings.speed, settings.wire.clock_start, pulse_step)
+        self._rig, self._firmware = rig, Firmware(board)
+        self._per_turn = max(board.per_frame, 1)
         self._random = np.random.default_rng([settings.seed, 1])
         self._on_the_way: deque[tuple[float, bytes]] = deque()
         self._faults_left = {"reset", "garbage", "silence"}
-        self._begin(0.0)
-
-    @staticmethod
-    def _warm_up(settings: TwinSettings, period: float) -> None:
-        """Compile before anybody waits, on a plant that is thrown away."""
-        BallBeamPlant(settings.plant, settings.terms, 0, period).step(0.01)
 
     def serve(self, wire: Wire, ending: Ending) -> None:
         """Serve one client after the other until the end is due."""
@@ -66,47 +71,60 @@ class Bench:
             self._go_on(wire)
 
     def _begin(self, now: float) -> None:
-        """A client has opened the wire: the device boots, a hand puts the ball where it belongs."""
-        self._plant.place(self._plant.parameters["start_position"])
+        """A client has opened the wire: the device boots, the rig is put where it begins."""
+        self._rig.begin()
         self._held = True
         self._silent = False
         self._samples_since_release = 0
-        self._pulse = LEVEL
         self._due = now
         self._on_the_way.clear()
         self._send(self._firmware.boot(now), now)
 
     def _next_event(self) -> float:
-        return min(self._due, self._on_the_way[0][0]) if self._on_the_way else self._due
+        frame = self._due + (self._per_turn - 1) * self._pace
+        return min(frame, self._on_the_way[0][0]) if self._on_the_way else frame
 
     def _listen(self, wire: Wire) -> None:
         now = time.monotonic()
+        self._pause_where_late(now)
+        # samples that were due before a command came are taken without it, but for the newest
+        self._take_samples(now - self._pace, now)
         self._send(self._firmware.receive(wire.read(), now), now)
 
     def _go_on(self, wire: Wire) -> None:
         now = time.monotonic()
         self._firmware.watch(now)
-        if now - self._due > PATIENCE:
-            self._due = now
-        while now >= self._due:
-            self._sample(now)
-            self._due += self._pace
+        self._pause_where_late(now)
+        if now >= self._due + (self._per_turn - 1) * self._pace:
+            self._take_samples(now, now)
         while self._on_the_way and self._on_the_way[0][0] <= now:
             wire.write(self._on_the_way.popleft()[1])
 
-    def _sample(self, now: float) -> None:
-        """Let one sample period end: the servo has arrived where it was sent at the last sample."""
+    def _pause_where_late(self, now: float) -> None:
+        """What cannot be caught up has not happened: the world has stood still."""
+        if now - self._due > self._firmware.board.patience + (self._per_turn - 1) * self._pace:
+            self._due = now
+
+    def _take_samples(self, until: float, now: float) -> None:
+        """Take the samples that are due by ``until``."""
+        count = int((until - self._due) / self._pace) + 1 if until >= self._due else 0
+        while count > 0:
+            taken = self._sample(1 if self._held else min(count, self._per_turn), now)
+            self._due += taken * self._pace
+            count -= taken
+
+    def _sample(self, count: int, now: float) -> int:
         if self._held:
-            count = self._plant.count()
+            rows = self._rig.rest(self._firmware.output)
             self._held = not self._firmware.was_set
         else:
-            count = self._plant.step(SERVO.value(self._pulse))
-            self._samples_since_release += 1
-        message = self._firmware.sample(count, self._pulse)
-        if self._random.random() >= self._wire_settings.drop_rate:
-            self._send(message, now)
-        self._pulse = self._firmware.pulse
+            rows = self._rig.samples(self._firmware.output, count)
+            self._samples_since_release += count
+        for message in self._firmware.samples(rows):
+            if self._random.random() >= self._wire_settings.drop_rate:
+                self._send(message, now)
         self._misbehave(now)
+        return count
 
     def _misbehave(self, now: float) -> None:
         if self._strikes("reset", self._wire_settings.fault_reset_at):
@@ -118,7 +136,8 @@ class Bench:
 
     def _strikes(self, fault: str, at: float) -> bool:
         """Tell whether it is time for a fault that has not happened yet."""
-        if at <= 0.0 or fault not in self._faults_left or self._samples_since_release < at * SAMPLE_RATE:
+        due = at * self._firmware.board.sample_rate
+        if at <= 0.0 or fault not in self._faults_left or self._samples_since_release < due:
             return False
         self._faults_left.discard(fault)
         return True

@@ -15,11 +15,10 @@ from labhil.link import (
     Frame,
     Hello,
     MessageType,
-    State,
     StateFlag,
     encode,
 )
-from labhil_ball_beam.port import Port
+from labhil.serial_rig.port import Port
 
 ASK_EVERY = 0.25
 ANSWER_WITHIN = 4.0
@@ -72,13 +71,13 @@ def ask_hello(port: Port, decoder: Decoder, sender: Sender) -> Hello:
     raise _nobody(port.address, decoder, bytes(heard))
 
 
-def configure(port: Port, decoder: Decoder, sender: Sender, command_timeout: float) -> None:
+def configure(port: Port, decoder: Decoder, sender: Sender, config: Config) -> None:
     """Send the configuration, and SAFE, until a sample says that both have arrived.
 
     A device that was not reset by the opening of its port may still carry out what somebody else
     commanded. ProtocolError when no sample says so.
     """
-    payload = Config(round(command_timeout * 1000)).pack()
+    payload = config.pack()
     wanted = StateFlag.CONFIGURED | StateFlag.SAFE
 
     def ask() -> None:
@@ -87,7 +86,9 @@ def configure(port: Port, decoder: Decoder, sender: Sender, command_timeout: flo
 
     for data in _asking(port, ask, CONFIGURED_WITHIN):
         for frame in decoder.feed(data):
-            if frame.type == MessageType.STATE and State.unpack(frame.payload).flags & wanted == wanted:
+            sample = frame.type in (MessageType.STATE, MessageType.SAMPLES)
+            # both begin with the flags
+            if sample and frame.payload and frame.payload[0] & (wanted | StateFlag.EXPIRED) == wanted:
                 return
     raise ProtocolError(
         f"{port.address}: expected samples that acknowledge the configuration and the safe state within"

@@ -1,0 +1,222 @@
+"""A rig on the framed serial link; what is particular to one is in its :class:`SerialRig`."""
+
+from __future__ import annotations
+
+import contextlib
+import secrets
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from types import TracebackType
+from typing import ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labhil.driver import Counters, DeviceInfo, DriverSpec
+from labhil.errors import CommandRefusedError, ConnectError, DeviceError, DeviceResetError, ProtocolError
+from labhil.link import Decoder, Frame, Hello, MessageType, Samples, SetCommand, State, StateFlag, Unwrapper
+from labhil.serial_rig.handshake import Sender, ask_hello, configure
+from labhil.serial_rig.port import Port
+from labhil.serial_rig.rig import Scaler, SerialRig, info_of
+from labhil.signals import Batch
+
+PATIENCE = 0.05
+"""How long (s) ``close`` from another thread waits for ``read`` to notice."""
+
+
+class SerialDriver:
+    """Satisfies :class:`labhil.driver.Driver`; a plugin names its ``rig`` and the ``spec`` of that.
+
+    Opening a port resets an Arduino, so every ``connect`` waits for the device's HELLO and sends the
+    configuration again. ``spec`` is then that of the device that is there. The device goes to its safe
+    output by itself after ``spec.command_timeout`` without a valid message.
+    """
+
+    rig: ClassVar[SerialRig]
+    spec: DriverSpec
+
+    def __init__(self, address: str) -> None:
+        self.address = address
+        self.counters = Counters()
+        self._port: Port | None = None
+        self._closing = False
+        # reentrant: a signal handler may close the driver in the middle of a read
+        self._reading = threading.RLock()
+        self._writing = threading.RLock()
+
+    def connect(self) -> DeviceInfo:
+        """Open the port, wait for HELLO, send the configuration; the device is in its safe state then.
+
+        ConnectError when the port is not there or silent; ProtocolError when what comes from it is
+        not the protocol, or another device.
+        """
+        self.close()
+        with self._reading:
+            port = Port(self.address, self.rig.baud_rate)
+            try:
+                return self._introduce(port)
+            except BaseException:
+                port.close()
+                raise
+
+    def _introduce(self, port: Port) -> DeviceInfo:
+        decoder = Decoder()
+        sender = Sender(port, first_seq=1 + secrets.randbelow(0xF000))
+        hello = ask_hello(port, decoder, sender)
+        complaint = self.rig.complaint(hello)
+        if complaint:
+            raise ProtocolError(f"{self.address}: {complaint}")
+        configure(port, decoder, sender, self.rig.config)
+        self.counters = Counters()
+        self._failure: DeviceError | None = None
+        self._hello = hello
+        self._decoder, self._sender = decoder, sender
+        self._before = (decoder.frames, decoder.crc_errors, decoder.resyncs)
+        self._numbers = {MessageType.STATE: Unwrapper(16), MessageType.SAMPLES: Unwrapper(32)}
+        self._clock, self._period_ns = Unwrapper(32), 1e9 / hello.sample_rate
+        self._last_seq: int | None = None
+        self._scaler = Scaler(self.rig, hello)
+        self._closing = False
+        self.spec = self.rig.spec_of(hello)
+        self._port = port
+        return info_of(hello, self.rig.fitted(hello))
+
+    def read(self, timeout: float) -> Batch:
+        """Return the samples that have come in, waiting up to ``timeout`` s for the first.
+
+        Values in SI units. An empty batch means that nothing came. Raises DeviceResetError when the
+        device booted again and DeviceError when it ended an output that lasted too long (both after
+        the samples from before have been returned), and ConnectError when the wire is gone or the
+        driver is closed.
+        """
+        deadline = time.monotonic() + timeout
+        pieces: list[Batch] = []
+        with self._reading:
+            while not pieces:
+                if self._port is None or self._closing:
+                    raise ConnectError(f"{self.address}: not connected")
+                if self._failure is not None:
+                    raise self._failure
+                left = deadline - time.monotonic()
+                data = self._port.receive(min(max(left, 0.0), PATIENCE))
+                pieces = self._take(self._decoder.feed(data), time.time_ns())
+                if left <= 0.0 and self._failure is None:
+                    break
+            self._count()
+        return Batch.joined(pieces, self._scaler.width)
+
+    def _take(self, frames: Sequence[Frame], t_acq_ns: int) -> list[Batch]:
+        pieces: list[Batch] = []
+        for frame in frames:
+            try:
+                piece = self._piece(frame, t_acq_ns)
+            except DeviceError as error:
+                self._failure = error
+                break
+            if piece is not None:
+                pieces.append(piece)
+        return pieces
+
+    def _piece(self, frame: Frame, t_acq_ns: int) -> Batch | None:
+        if frame.type == MessageType.HELLO:
+            self._check_boot(Hello.unpack(frame.payload))
+            return None
+        if frame.type == MessageType.STATE:
+            state = State.unpack(frame.payload)
+            one = np.array([state.raw], dtype=np.uint16)
+            return self._batch(frame, state.flags, MessageType.STATE, frame.seq, one, t_acq_ns)
+        if frame.type == MessageType.SAMPLES:
+            some = Samples.unpack(frame.payload)
+            return self._batch(frame, some.flags, MessageType.SAMPLES, some.first, some.raw, t_acq_ns)
+        return None
+
+    def _batch(
+        self, frame: Frame, flags: int, kind: MessageType, number: int, raw: NDArray[np.uint16], t_acq_ns: int
+    ) -> Batch:
+        self._check_flags(flags)
+        if raw.shape[1] != self._scaler.width:
+            raise ProtocolError(
+                f"{self.address}: expected samples of {self._scaler.width} channels, found {raw.shape[1]}"
+            )
+        count = np.arange(len(raw))
+        first = self._numbers[kind].unwrap(number)
+        if self._last_seq is not None:
+            self.counters.lost += max(first - self._last_seq - 1, 0)
+        self._last_seq = first + len(raw) - 1
+        t_hw_ns = self._clock.unwrap(frame.t_us) * 1000 + np.rint(count * self._period_ns).astype(np.int64)
+        return Batch(first + count, np.full(len(raw), t_acq_ns), t_hw_ns, self._scaler.values(raw))
+
+    def _check_flags(self, flags: int) -> None:
+        if not flags & StateFlag.CONFIGURED:
+            raise self._reset("it has lost its configuration")
+        if flags & StateFlag.EXPIRED:
+            raise DeviceError(
+                f"{self.address}: expected an output of {self.spec.longest_output:g} s at most without a"
+                " break, found that it lasted longer: the device has ended it"
+            )
+
+    def _check_boot(self, hello: Hello) -> None:
+        if hello.boot_id != self._hello.boot_id:
+            raise self._reset(f"expected boot {self._hello.boot_id:08x}, found boot {hello.boot_id:08x}")
+
+    def _reset(self, found: str) -> DeviceResetError:
+        self.counters.resets += 1
+        return DeviceResetError(f"{self.address}: the device booted again in the middle of the run: {found}")
+
+    def _count(self) -> None:
+        frames, crc_errors, resyncs = self._before
+        self.counters.frames = self._decoder.frames - frames
+        self.counters.crc_errors = self._decoder.crc_errors - crc_errors
+        self.counters.resyncs = self._decoder.resyncs - resyncs
+
+    def command(self, values: Mapping[str, float]) -> None:
+        """Send a new value (SI) for each of ``spec.commands``; with no values at all, a heartbeat.
+
+        CommandRefusedError for another name, a value that is not finite or out of the rig's range:
+        nothing is sent then. ConnectError when the wire is gone.
+        """
+        for name, value in values.items():
+            self._check_command(name, value)
+        with self._writing:
+            if self._port is None:
+                raise ConnectError(f"{self.address}: not connected")
+            if not values:
+                self._sender.send(MessageType.HEARTBEAT)
+                return
+            scales = self.rig.command_scales(self._hello)
+            names = [command.name for command in self.spec.commands]
+            raw = tuple(scale.raw(values[name]) for name, scale in zip(names, scales, strict=True))
+            self._sender.send(MessageType.SET, SetCommand(raw).pack())
+
+    def _check_command(self, name: str, value: float) -> None:
+        if name not in self.rig.ranges:
+            expected = ", ".join(repr(known) for known in self.rig.ranges)
+            raise CommandRefusedError(f"expected the command {expected}, found {name!r}")
+        low, high = self.rig.ranges[name]
+        if not low <= value <= high:
+            unit = next(signal.unit for signal in self.spec.commands if signal.name == name)
+            raise CommandRefusedError(f"{name}: expected {low:g} … {high:g} {unit}, found {value:g}")
+
+    def safe(self) -> None:
+        """Tell the device to take its safe output and keep it until the next command; never raises."""
+        with self._writing, contextlib.suppress(DeviceError):
+            if self._port is not None:
+                self._sender.send(MessageType.SAFE)
+
+    def close(self) -> None:
+        """Let go of the port; the device goes to its safe output by itself. Safe to call twice."""
+        self._closing = True
+        with self._reading, self._writing:
+            if self._port is not None:
+                self._port.close()
+            self._port = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.safe()
+        self.close()

@@ -1,0 +1,113 @@
+"""What the driver of one serial rig is told of its device; everything else is the same for all."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labhil.driver import DeviceInfo, DriverSpec
+from labhil.link import ChannelScale, Config, Hello
+from labhil.signals import FloatArray, Signal, Stream
+
+TURN = 1 << 16
+
+
+@dataclass(frozen=True, slots=True)
+class SerialRig:
+    """One kind of device on the link.
+
+    ``spec.stream`` lists every channel that such a device may have, in the order of the wire, its
+    commands last. Those in ``optional`` may be missing; those in ``counters`` wrap at 16 bits and are
+    unwrapped. ``ranges`` are what commands may be, SI, both ends included.
+    """
+
+    spec: DriverSpec
+    baud_rate: int
+    ranges: Mapping[str, tuple[float, float]]
+    optional: frozenset[str] = frozenset()
+    counters: frozenset[str] = frozenset()
+
+    @property
+    def config(self) -> Config:
+        """What is sent after HELLO."""
+        longest = self.spec.longest_output
+        return Config(
+            round(self.spec.command_timeout * 1000), None if math.isinf(longest) else round(longest)
+        )
+
+    def complaint(self, hello: Hello) -> str:
+        """What is wrong with a device that introduces itself so; empty when nothing is."""
+        names = self.spec.stream.names()
+        if hello.device != self.spec.name:
+            return f"expected the device {self.spec.name!r}, found {hello.device!r}: wrong port?"
+        if len(hello.channels) != len(names):
+            return f"expected {len(names)} channels ({', '.join(names)}), found {len(hello.channels)}"
+        if not 0.0 < hello.sample_rate < math.inf:
+            return f"expected a sample rate above 0 Hz, found {hello.sample_rate:g}"
+        missing = [
+            name
+            for name, channel in zip(names, hello.channels, strict=True)
+            if not channel.fitted and name not in self.optional
+        ]
+        return f"expected the channel {missing[0]}, found that it is not fitted" if missing else ""
+
+    def spec_of(self, hello: Hello) -> DriverSpec:
+        """The declaration of the device that introduced itself: what is fitted, at its own rate."""
+        signals = tuple(signal for signal, _ in self.fitted(hello))
+        return replace(self.spec, stream=Stream(self.spec.stream.name, signals, hello.sample_rate))
+
+    def fitted(self, hello: Hello) -> list[tuple[Signal, ChannelScale]]:
+        """The channels that the device has, in order."""
+        pairs = zip(self.spec.stream.signals, hello.channels, strict=True)
+        return [(signal, channel) for signal, channel in pairs if channel.fitted]
+
+    def command_scales(self, hello: Hello) -> list[ChannelScale]:
+        """How the commands are scaled, in order."""
+        scales = {signal.name: channel for signal, channel in self.fitted(hello)}
+        return [scales[command.name] for command in self.spec.commands]
+
+
+class Scaler:
+    """Raw samples of one device to SI units; remembers where its counters stand."""
+
+    def __init__(self, rig: SerialRig, hello: Hello) -> None:
+        fitted = rig.fitted(hello)
+        self.width = len(fitted)
+        self._scale = np.array([channel.scale for _, channel in fitted])
+        self._zero = np.array([channel.zero for _, channel in fitted])
+        self._counters = [column for column, (signal, _) in enumerate(fitted) if signal.name in rig.counters]
+        self._stand: dict[int, int] = {}
+
+    def values(self, raw: NDArray[np.uint16]) -> FloatArray:
+        """Values (n, width) of raw numbers (n, width)."""
+        counts = raw.astype(np.float64)
+        for column in self._counters:
+            counts[:, column] = self._unwrapped(column, raw[:, column])
+        return np.asarray((counts - self._zero) * self._scale)
+
+    def _unwrapped(self, column: int, raw: NDArray[np.uint16]) -> FloatArray:
+        steps = np.diff(raw.astype(np.int64), prepend=self._stand.get(column, int(raw[0])) % TURN)
+        # the shorter way round is the one it went
+        steps = (steps + TURN // 2) % TURN - TURN // 2
+        stands = self._stand.get(column, int(raw[0])) + np.cumsum(steps)
+        self._stand[column] = int(stands[-1])
+        return np.asarray(stands, dtype=np.float64)
+
+
+def info_of(hello: Hello, fitted: Sequence[tuple[Signal, ChannelScale]]) -> DeviceInfo:
+    """What a device said of itself."""
+    calibration = {"sample_rate": hello.sample_rate, "speed": hello.speed}
+    for signal, channel in fitted:
+        calibration[f"{signal.name}_scale"] = channel.scale
+        calibration[f"{signal.name}_offset"] = -channel.zero * channel.scale
+    return DeviceInfo(
+        firmware=".".join(str(part) for part in hello.firmware) + f"+{hello.build_hash:08x}",
+        serial=hello.serial,
+        boot_id=hello.boot_id,
+        speed=hello.speed,
+        calibration=calibration,
+    )
