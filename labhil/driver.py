@@ -145,8 +145,9 @@ class TwinOptions:
 
     ``terms`` names the effects that it carries beyond the bare rig (None: the twin's own default);
     ``parameters`` overrides single values; ``speed`` runs its world that many times faster than
-    real time; ``wire`` is ``"pty"`` or ``"tcp"``. What the twin is made of is written to ``answer``
-    (JSON: ``terms``, ``parameters``, ``seed``) and told nowhere else.
+    real time; ``wire`` is ``"pty"`` or ``"tcp"``; ``tables`` are files with measured maps, by name. What
+    the twin is made of is written to ``answer`` (JSON: ``terms``, ``parameters``, ``seed``) and told
+    nowhere else.
     """
 
     seed: int = 0
@@ -155,6 +156,7 @@ class TwinOptions:
     parameters: Mapping[str, float] = field(default_factory=dict)
     wire: str = "pty"
     answer: Path | None = None
+    tables: Mapping[str, Path] = field(default_factory=dict)
 
 
 class ReadyCallback(Protocol):
