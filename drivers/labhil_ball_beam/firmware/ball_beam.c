@@ -38,8 +38,9 @@ const struct bench bench = {
     .sample_rate = SAMPLE_RATE,
     .channels = channels,
     .channel_count = 2,
-    .command_count = 1,
-    .longest_output_us = LONGEST_OUTPUT * 1000000UL,
+    .fitted_count = 2,
+    .safe = LEVEL * TICK,
+    .longest_output_s = LONGEST_OUTPUT_S,
 };
 
 /* Pulse widths in ticks. */
@@ -73,19 +74,15 @@ void bench_begin(void)
     ADCSRA = _BV(ADEN) | _BV(ADIE) | _BV(ADPS2) | _BV(ADPS1) | _BV(ADPS0); /* 125 kHz */
 }
 
-void bench_set(const uint16_t *raw)
+void bench_set(uint16_t raw)
 {
-    int32_t ticks = ((int32_t)raw[0] - SERVO_LEVEL) / TICK;
+    int32_t tenths = (int32_t)raw - LEVEL * TICK;
+    int32_t ticks = (tenths + (tenths < 0 ? -TICK / 2 : TICK / 2)) / TICK;
     if (ticks > FARTHEST)
         ticks = FARTHEST;
     if (ticks < -FARTHEST)
         ticks = -FARTHEST;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { wanted = (uint16_t)(LEVEL + ticks); }
-}
-
-void bench_go_safe(void)
-{
-    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { wanted = LEVEL; }
 }
 
 /* A pulse begins, and with the first of a period a sample. */
@@ -132,5 +129,5 @@ void bench_report(void)
         has_finished = false;
     }
     const uint16_t raw[] = {sample.count, sample.pulse * TICK};
-    session_sample(sample.seq, sample.t_us, raw);
+    session_state(sample.seq, sample.t_us, raw);
 }

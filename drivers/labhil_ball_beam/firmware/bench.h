@@ -22,7 +22,8 @@
 #define POSITION_SCALE (0.5f / 1024.0f)
 #define POSITION_ZERO 512.0f
 
-/* How long (s) the servo may stay away from level without a new SET. */
-#define LONGEST_OUTPUT 10
+/* How long (s) the servo may be away from level without a break before it goes there and stays until
+ * SAFE; 0: as long as the host wants. A servo takes no harm from it, and the driver does not expect it. */
+#define LONGEST_OUTPUT_S 0
 
 #endif

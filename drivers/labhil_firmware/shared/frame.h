@@ -25,11 +25,13 @@ enum message_type {
     SAFE = 5,
     HELLO_REQUEST = 6,
     CONFIG = 7,
+    SAMPLES = 8,
 };
 
 enum state_flag {
     FLAG_CONFIGURED = 1,
     FLAG_SAFE = 2,
+    FLAG_EXPIRED = 4,
 };
 
 /* One message. After decoding, `payload` points into the decoder and holds until its next byte. */
