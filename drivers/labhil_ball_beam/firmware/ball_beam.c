@@ -24,6 +24,9 @@ enum {
 };
 
 _Static_assert(POSITION_BITS == 8 || POSITION_BITS == 10, "POSITION_BITS: expected 8 or 10");
+/* these divide by a shift, and their product with the longest way fits into 16 bits */
+_Static_assert(SERVO_PULSES_PER_SAMPLE == 1 || SERVO_PULSES_PER_SAMPLE == 2 || SERVO_PULSES_PER_SAMPLE == 4,
+               "SERVO_PULSES_PER_SAMPLE: expected 1, 2 or 4");
 _Static_assert(TICKS_PER_TURN <= 65536UL, "SAMPLE_RATE times SERVO_PULSES_PER_SAMPLE: expected 31 or more");
 _Static_assert(BETWEEN_PULSES + 100UL < TICKS_PER_TURN, "SERVO_PULSES_PER_SAMPLE: the pulse does not fit");
 
@@ -103,7 +106,7 @@ ISR(TIMER1_OVF_vect)
 ISR(TIMER1_COMPB_vect)
 {
     int16_t way = (int16_t)(to - from);
-    OCR1A = (uint16_t)(from + (int32_t)way * (turn + 1) / SERVO_PULSES_PER_SAMPLE) - 1;
+    OCR1A = (uint16_t)(from + way * (turn + 1) / SERVO_PULSES_PER_SAMPLE) - 1;
 }
 
 ISR(ADC_vect)

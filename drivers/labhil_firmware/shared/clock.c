@@ -22,14 +22,28 @@ ISR(TIMER5_OVF_vect)
     overflows++;
 }
 
-uint32_t clock_us_in_interrupt(void)
+/* The ticks, and in `wraps` the overflows up to them, with one that still waits for its handler. */
+static uint16_t read_ticks(uint32_t *wraps)
 {
     uint16_t ticks = TCNT5;
-    uint32_t wraps = overflows;
-    /* an overflow that waits for its handler counts, if the ticks were read after it */
-    if ((TIFR5 & _BV(TOV5)) && ticks < 0x8000)
-        wraps++;
+    *wraps = overflows;
+    if ((TIFR5 & _BV(TOV5)) && ticks < 0x8000) /* else it came after the ticks were read */
+        ++*wraps;
+    return ticks;
+}
+
+uint32_t clock_us_in_interrupt(void)
+{
+    uint32_t wraps;
+    uint16_t ticks = read_ticks(&wraps);
     return (wraps << 15) | (ticks >> 1);
+}
+
+uint32_t clock_ticks_in_interrupt(void)
+{
+    uint32_t wraps;
+    uint16_t ticks = read_ticks(&wraps);
+    return (wraps << 16) | ticks;
 }
 
 uint32_t clock_us(void)

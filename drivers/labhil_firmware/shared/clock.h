@@ -12,4 +12,7 @@ uint32_t clock_us(void);
 /* The same for interrupt handlers, where interrupts are off already. */
 uint32_t clock_us_in_interrupt(void);
 
+/* Half microseconds, for interrupt handlers; wraps after 35.8 min. */
+uint32_t clock_ticks_in_interrupt(void);
+
 #endif

@@ -44,11 +44,11 @@ static void sleep_until_interrupt(void)
 
 int main(void)
 {
-    bench_begin();
+    uint32_t boot_id = boot_count(); /* the pins are still as the reset left them: nothing is driven */
     line_begin();
     clock_begin();
+    bench_begin();
     set_sleep_mode(SLEEP_MODE_IDLE);
-    uint32_t boot_id = boot_count();
     sei();
     session_begin(boot_id, clock_us());
     wdt_enable(WDTO_60MS);
