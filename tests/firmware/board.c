@@ -18,6 +18,7 @@ enum {
     DDRB_ADDRESS = 0x24,
     GPIOR0_ADDRESS = 0x3E,
     TCCR1A_ADDRESS = 0x80,
+    ADCSRA_ADDRESS = 0x7A,
     ICR1_ADDRESS = 0x86,
     OCR1A_ADDRESS = 0x88,
     OCR1B_ADDRESS = 0x8A,
@@ -93,6 +94,7 @@ static void see_pulse(struct avr_irq_t *irq, uint32_t level, void *param)
     if (!level && pulse_began) {
         pins.pulse_us = (avr->cycle - pulse_began) / (BOARD_HZ * 1e-6);
         pulse_began = 0;
+        measured.pulses_us[measured.pulses++ % PULSES] = pins.pulse_us;
     }
 }
 
@@ -246,6 +248,12 @@ void board_hang(uint32_t address)
     memcpy(hung_code, avr->flash + address, sizeof hung_code);
     avr->flash[address] = JUMP_TO_ITSELF & 0xFF;
     avr->flash[address + 1] = JUMP_TO_ITSELF >> 8;
+}
+
+void board_stop_converter(void)
+{
+    enum { ADIE_BIT = 3 };
+    avr->data[ADCSRA_ADDRESS] &= (uint8_t)~(1 << ADIE_BIT);
 }
 
 size_t board_receive(const uint8_t *bytes, size_t size)

@@ -10,7 +10,11 @@
 
 #define BOARD_HZ 16000000.0
 
+enum { PULSES = 64 };
+
 struct measured {
+    double pulses_us[PULSES]; /* the last of the servo's pulses, in a ring */
+    unsigned pulses;
     uint64_t worst_turn;      /* of the main loop, cycles, interrupts included */
     uint64_t worst_interrupt; /* cycles in one handler */
     uint64_t last_byte;       /* cycle at which the host's last byte was handed over */
@@ -33,6 +37,9 @@ void board_reset(void);
 
 /* Make it hang: the code at this address runs in circles until the next reset. */
 void board_hang(uint32_t address);
+
+/* Switch the converter's interrupt off behind the program's back. */
+void board_stop_converter(void);
 
 /* Give bytes to its serial line; returns how many it took. */
 size_t board_receive(const uint8_t *bytes, size_t size);

@@ -9,6 +9,7 @@
  *     forget           start the worst cases anew
  *     reset            press the reset button
  *     hang ADDRESS     let the code at this byte of the flash run in circles until the next reset
+ *     deafen           switch the converter off, as its own program never would
  *     peek ADDRESS N   N bytes of memory, in hex
  *
  * It ends with its input.
@@ -108,12 +109,15 @@ static void report(void)
     printf("{\"cycle\": %llu, \"worst_turn\": %llu, \"worst_interrupt\": %llu, \"last_byte\": %llu,"
            " \"safe_since\": %llu, \"watchdog_resets\": %u, \"resets\": %u, \"bytes_in\": %llu,"
            " \"bytes_out\": %llu, \"pulse_us\": %.4f, \"duty\": [%.6f, %.6f], \"worst_lag\": %.6f,"
-           " \"paused\": %.6f, \"value\": %.6f}\n",
+           " \"paused\": %.6f, \"value\": %.6f, \"pulses_us\": [",
            (unsigned long long)board_cycle(), (unsigned long long)measured.worst_turn,
            (unsigned long long)measured.worst_interrupt, (unsigned long long)measured.last_byte,
            (unsigned long long)measured.safe_since, measured.watchdog_resets, measured.resets,
            (unsigned long long)measured.bytes_in, (unsigned long long)measured.bytes_out, pins->pulse_us,
            pins->duty[0], pins->duty[1], worst_lag, paused, plant->value());
+    for (unsigned i = 0; i < PULSES; i++)
+        printf("%s%.1f", i ? ", " : "", measured.pulses_us[(measured.pulses + i) % PULSES]);
+    printf("]}\n");
 }
 
 static void peek(unsigned address, unsigned count)
@@ -137,6 +141,9 @@ static void obey(const char *line)
         measured.worst_turn = measured.worst_interrupt = 0;
         worst_lag = paused = 0.0;
         printf("forgotten\n");
+    } else if (strcmp(line, "deafen") == 0) {
+        board_stop_converter();
+        printf("deafened\n");
     } else if (sscanf(line, "hang %u", &address) == 1) {
         board_hang(address);
         printf("hung\n");

@@ -114,6 +114,7 @@ ISR(ADC_vect)
     sampling.count = ADC >> SURPLUS_BITS;
     finished = sampling; /* one that nobody fetched is lost, and its number missing */
     has_finished = true;
+    loop_note_sample();
 }
 
 bool bench_has_report(void)

@@ -4,6 +4,7 @@
 
 #include "bench.h"
 #include "clock.h"
+#include "loop.h"
 #include "session.h"
 
 #ifdef SAMPLES_PER_FRAME
@@ -31,6 +32,7 @@ void batch_begin_sample(void)
 
 void batch_end_sample(const uint16_t *raw)
 {
+    loop_note_sample();
     uint8_t next = (head + 1) & (PLACES - 1);
     if (next == tail)
         return;

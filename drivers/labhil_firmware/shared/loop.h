@@ -10,6 +10,10 @@ void bench_begin(void);
 /* Send the sample that waits, if there is one. */
 void bench_report(void);
 
+/* Called by the bench's interrupt handlers when a sample is complete. The watchdog timer is satisfied only
+ * by a loop that turns and a bench that samples: an output nobody measures must not stay on. */
+void loop_note_sample(void);
+
 /* Tell whether a sample waits; called with interrupts off. */
 bool bench_has_report(void);
 

@@ -12,6 +12,13 @@
 
 enum { BYTES_PER_TURN = 64 };
 
+static volatile bool has_sampled;
+
+void loop_note_sample(void)
+{
+    has_sampled = true;
+}
+
 /* After a reset by the watchdog it is still running, at its shortest: stop it before memory is set up. */
 static void stop_watchdog(void) __attribute__((naked, used, section(".init3")));
 static void stop_watchdog(void)
@@ -55,7 +62,10 @@ int main(void)
     for (;;) {
         /* a register that nothing else uses, for the simulator to see how long a turn takes */
         GPIOR0 = 1;
-        wdt_reset();
+        if (has_sampled) {
+            has_sampled = false;
+            wdt_reset();
+        }
         turn();
         GPIOR0 = 0;
         sleep_until_interrupt();
