@@ -113,6 +113,8 @@ def devices(
         for signal in spec.stream.signals:
             command = f", commanded, safe at {spec.safe[signal.name]:g}" if signal.name in spec.safe else ""
             print(f"  {signal.name} [{signal.unit}] {signal.description}{command}")
+        if plugins.firmware_folder(name) is not None:
+            print(f"  firmware for an Arduino Mega: labhil firmware {name} -o DIR")
 
 
 def run(

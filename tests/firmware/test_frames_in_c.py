@@ -9,9 +9,7 @@ import pytest
 
 from labhil.link import Config, Decoder, Frame, Hello, MessageType, SetCommand, State, StateFlag, encode
 
-GOLDEN = json.loads(
-    (Path(__file__).parents[1] / "wire" / "golden_frames.json").read_text(encoding="utf-8")
-)
+GOLDEN = json.loads((Path(__file__).parents[1] / "wire" / "golden_frames.json").read_text(encoding="utf-8"))
 LEVEL = 15000
 COUNTERS = ("frames", "crc_errors", "resyncs", "other_versions", "last_other_version")
 
