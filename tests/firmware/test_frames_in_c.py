@@ -101,6 +101,15 @@ def test_rubbish_is_survived_and_counted_as_in_python(frames_in_c):
     agree(frames_in_c, random.bytes(200_000))
 
 
+def test_a_last_block_that_claims_more_than_there_is_reads_nothing_beyond(frames_in_c):
+    # pieces of every length; the longest fills the decoder's buffer to its last byte
+    pieces = [
+        bytes([size - 1, *b"\x07" * (size - 2), 2 + excess]) for size in range(2, 255) for excess in (0, 9)
+    ]
+    good = encode(Frame(MessageType.HEARTBEAT, 1, 2))
+    assert len(agree(frames_in_c, b"\x00".join([*pieces, good]))) == 1
+
+
 class Talk:
     """A script for the firmware's session; ``play`` gives (command, flags) after each line that asks."""
 

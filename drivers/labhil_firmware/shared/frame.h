@@ -46,18 +46,19 @@ struct frame {
 /* Write the frame, delimiter included, and return its length; 0 when the payload is too long. */
 uint8_t frame_encode(const struct frame *frame, uint8_t wire[LONGEST_FRAME + 1]);
 
-/* Takes bytes as they come. All zeros is a decoder that has heard nothing. The counters wrap. */
+/* Takes bytes as they come. All zeros is a decoder that has heard nothing. The counters wrap.
+ * `pending` stands last, and no padding after it, so that a sanitizer sees a byte beyond its end. */
 struct decoder {
-    uint8_t pending[LONGEST_FRAME];
-    uint8_t size;
-    bool overlong; /* more than a frame can have came without a delimiter */
-    bool joined;   /* a delimiter has been seen: what came before it was no loss */
-    bool astray;   /* bytes had to be thrown away since the last good frame */
-    uint8_t last_other_version;
     uint16_t frames;
     uint16_t crc_errors; /* pieces between two delimiters that were no frame */
     uint16_t resyncs;    /* how often a good frame followed upon bytes that were thrown away */
     uint16_t other_versions;
+    uint16_t last_other_version;
+    bool overlong; /* more than a frame can have came without a delimiter */
+    bool joined;   /* a delimiter has been seen: what came before it was no loss */
+    bool astray;   /* bytes had to be thrown away since the last good frame */
+    uint8_t size;
+    uint8_t pending[LONGEST_FRAME];
 };
 
 /* Take one byte; true when it completes a frame of our version, which then stands in `frame`. */
