@@ -57,7 +57,8 @@ ISR(USART0_RX_vect)
 
 ISR(USART0_UDRE_vect)
 {
-    UDR0 = to_send[send_tail++];
+    if (send_tail != send_head)
+        UDR0 = to_send[send_tail++];
     if (send_tail == send_head)
         UCSR0B &= (uint8_t)~_BV(UDRIE0);
 }
