@@ -34,8 +34,8 @@ def run(command: list[object], folder: Path | None = None) -> str:
     return done.stdout
 
 
-def compiles(*options: str, code: str = "int main(void) { return 0; }") -> bool:
-    command = ["gcc", "-x", "c", "-", "-o", "/dev/null", *options]
+def compiles(*options: str, code: str = "int main(void) { return 0; }", compiler: str = "gcc") -> bool:
+    command = [compiler, "-x", "c", "-", "-o", "/dev/null", *options]
     return subprocess.run(command, input=code, text=True, capture_output=True, check=False).returncode == 0
 
 
@@ -101,6 +101,8 @@ def firmware(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
     missing = [tool for tool in ("make", "avr-gcc", "avr-size", "avr-objcopy") if shutil.which(tool) is None]
     if missing:
         pytest.skip(f"no {', '.join(missing)} here: {ASKED_FOR}")
+    if not compiles("-fsyntax-only", "-mmcu=atmega2560", code="#include <avr/io.h>\n", compiler="avr-gcc"):
+        pytest.skip(f"no avr-libc here: {ASKED_FOR}")
     folder = tmp_path_factory.mktemp("firmware")
 
     def build(name: str) -> Path:

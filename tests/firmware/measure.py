@@ -19,7 +19,7 @@ from labhil.plugins import load_driver
 
 LEVELS = {
     "ball_beam": ("servo_angle", (0.1, -0.1), 1),
-    "solenoid": ("coil_current_command", (0.5, 1.0), -1),
+    "solenoid": ("coil_current_command", (0.0, 1.0), -1),  # with breaks: an output without ends after 120 s
     "dc_motor": ("voltage", (3.0, -3.0), -1),
 }
 CHANGE_EVERY = 0.1

@@ -1,6 +1,10 @@
 """The firmware itself, on a simulated Arduino Mega with a plant around it, through the real drivers."""
 
+import json
+import os
 import signal
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -221,6 +225,52 @@ def test_a_ball_is_balanced_through_wire_and_pins(ball_beam):
     assert len(seen) > 500
     assert np.max(np.abs(seen[-100:])) < 0.02
     assert abs(board.report()["value"]) < 0.02
+
+
+RUN = """
+[experiment]
+name = "on-the-board"
+[devices.bench]
+plugin = "ball_beam"
+address = "{address}"
+rig = "bench.toml"
+[[steps]]
+device = "bench"
+signal = "servo_angle"
+excitation = "two_sine"
+frequencies = [0.28, 0.39]
+amplitude = 0.3
+stabilise = {{ on = "ball_position", kp = 7.0, kd = 3.0 }}
+duration = 6.0
+"""
+RIG = """
+[rig]
+kind = "ball_beam"
+[limits]
+servo_angle = { min = -1.2, max = 1.2, rate = 12.0 }
+"""
+
+
+def test_a_run_records_it(simulated_board, tmp_path):
+    (tmp_path / "bench.toml").write_text(RIG, encoding="utf-8")
+    environment = dict(os.environ, PYTHONPATH=os.pathsep.join(path for path in sys.path if path))
+    with simulated_board("ball_beam") as board:
+        (tmp_path / "run.toml").write_text(RUN.format(address=board.address), encoding="utf-8")
+        done = subprocess.run(
+            [sys.executable, "-m", "labhil", "run", "run.toml", "--json"],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        assert board.report()["safe_since"]
+    result = json.loads(done.stdout)
+    assert result["exit_status"] == 0
+    state = next(stream for stream in result["streams"] if stream["stream"] == "state")
+    assert state["gaps"] == 0
+    assert state["samples"] >= 550
 
 
 def test_the_coil_current_comes_to_the_command(simulated_board):
