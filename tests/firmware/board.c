@@ -68,7 +68,8 @@ static void turn_encoder(void)
     static bool shown[2];
     for (int i = 0; i < 2; i++) {
         if (shown[i] != sensors.encoder[i])
-            avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('E'), ENCODER_PIN + i), sensors.encoder[i]);
+            avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('E'), ENCODER_PIN + i),
+                          sensors.encoder[i]);
         shown[i] = sensors.encoder[i];
     }
 }

@@ -77,7 +77,8 @@ static void coil_set(uint16_t new_duty)
 {
     duty = new_duty;
     if (duty == 0) {
-        TCCR1A &= (uint8_t)~_BV(COM1A1); /* a compare of 0 would still be a spike: let go of the pin, it is low */
+        /* a compare of 0 would still be a spike: let go of the pin, it is low */
+        TCCR1A &= (uint8_t)~_BV(COM1A1);
         return;
     }
     OCR1A = duty - 1;
