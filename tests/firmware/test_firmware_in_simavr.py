@@ -173,13 +173,15 @@ def test_a_bench_that_no_longer_samples_is_reset_to_safety(board, driver, rig):
 
 
 def test_nothing_is_lost_in_quiet_times(board, driver, rig):
+    # a host that stalls while it connects asks several times at once, for more than the line can hold
+    before = board.line_losses()
     batch = drive(driver, AWAY[rig], 4.0)
     assert np.all(np.diff(batch.seq) == 1)
     period = 1e9 / driver.spec.stream.rate
     assert np.all(np.abs(np.diff(batch.t_hw_ns) - period) < 0.1 * period)
     counters = driver.counters
     assert (counters.lost, counters.crc_errors, counters.resyncs) == (0, 0, 0)
-    assert board.line_losses() == (0, 0, 0)
+    assert board.line_losses() == before
 
 
 def test_noise_on_the_line_costs_nothing_but_itself(board, driver, rig):
