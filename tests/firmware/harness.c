@@ -8,7 +8,8 @@
  *     report           what was measured, as JSON
  *     forget           start the worst cases anew
  *     reset            press the reset button
- *     hang ADDRESS     let the code at this byte of the flash run in circles until the next reset
+ *     hang ADDRESS     let the code at this byte of the flash run in circles until the next reset; answers
+ *                      with the cycle from which it does
  *     deafen           switch the converter off, as its own program never would
  *     peek ADDRESS N   N bytes of memory, in hex
  *
@@ -146,7 +147,7 @@ static void obey(const char *line)
         printf("deafened\n");
     } else if (sscanf(line, "hang %u", &address) == 1) {
         board_hang(address);
-        printf("hung\n");
+        printf("%llu\n", (unsigned long long)board_cycle());
     } else {
         printf("unknown: %s\n", line);
     }
