@@ -14,6 +14,7 @@ import typer
 from labhil.commands.acquisition import add_acquisition
 from labhil.commands.analysis import add_analysis
 from labhil.commands.files import add_files
+from labhil.commands.firmware import add_firmware
 from labhil.commands.safety import add_safety
 from labhil.commands.studies import add_studies
 from labhil.commands.trials import add_trials
@@ -60,6 +61,7 @@ def _labhil(
 for add in (
     add_acquisition,
     add_safety,
+    add_firmware,
     add_files,
     add_analysis,
     add_trials,

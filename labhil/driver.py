@@ -176,10 +176,10 @@ class TwinOptions:
 
     ``terms`` names the effects that it carries beyond the bare rig (None: the twin's own default);
     ``parameters`` overrides single values; ``speed`` runs its world that many times faster than
-    real time; ``wire`` is ``"pty"`` or ``"tcp"``; ``host`` is the address of this machine that a networked
-    twin binds to, ``series`` which make of its controller it is (None: the twin's own default). What the
-    twin is made of is written to ``answer``
-    (JSON: ``terms``, ``parameters``, ``seed``) and told nowhere else.
+    real time; ``wire`` is ``"pty"`` or ``"tcp"``; ``tables`` are files with measured maps, by name. ``host``
+    is the address of this machine that a networked twin binds to, ``series`` which make of its controller it
+    is (None: the twin's own default). What the twin is made of is written to ``answer`` (JSON: ``terms``,
+    ``parameters``, ``seed``) and told nowhere else.
     """
 
     seed: int = 0
@@ -188,6 +188,7 @@ class TwinOptions:
     parameters: Mapping[str, float] = field(default_factory=dict)
     wire: str = "pty"
     answer: Path | None = None
+    tables: Mapping[str, Path] = field(default_factory=dict)
     host: str | None = None
     series: str | None = None
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
+from pathlib import Path
 from typing import cast
 
 from labhil.driver import Driver, Twin
@@ -25,6 +27,18 @@ def load_driver(name: str) -> type[Driver]:
 def load_twin(name: str) -> Twin:
     """Import the twin plugin ``name``; UnknownNameError names those that are installed."""
     return cast(Twin, _load(TWINS, name, "twin"))
+
+
+def firmware_folder(driver: str) -> Path | None:
+    """Folder with the firmware that the package of a driver plugin brings (``firmware/Makefile``), if any.
+
+    Nothing is imported. UnknownNameError names the drivers that are installed.
+    """
+    package = _find(DRIVERS, driver, "driver plugin").module.partition(".")[0]
+    spec = find_spec(package)
+    places = [] if spec is None else spec.submodule_search_locations or []
+    folders = [Path(place) / "firmware" for place in places]
+    return next((folder for folder in folders if (folder / "Makefile").is_file()), None)
 
 
 def _load(group: str, name: str, what: str) -> object:

@@ -40,6 +40,10 @@ def twin(
             help="A value other than the default (SI; see --list); may be repeated.",
         ),
     ] = None,
+    tables: Annotated[
+        list[str] | None,
+        typer.Option("--table", metavar="NAME=FILE", help="A measured map, like force_map=map.csv."),
+    ] = None,
     speed: Annotated[float, typer.Option(help="How many seconds of its world pass in one.")] = 1.0,
     wire: Annotated[str, typer.Option(help="pty or tcp.")] = "pty",
     answer: Annotated[Path | None, typer.Option(help="Write what it is made of to this file.")] = None,
@@ -67,7 +71,17 @@ def twin(
             print(f"--set {name}={value:g}")
         return
     chosen = parse_settings(settings or [])
-    options = TwinOptions(seed, speed, split_names(terms), chosen, wire, answer, host, series)
+    options = TwinOptions(
+        seed=seed,
+        speed=speed,
+        terms=split_names(terms),
+        parameters=chosen,
+        wire=wire,
+        answer=answer,
+        tables=parse_tables(tables or []),
+        host=host,
+        series=series,
+    )
     device.serve(options, lambda address: print(address, flush=True))
 
 
@@ -84,6 +98,17 @@ def parse_settings(settings: list[str]) -> dict[str, float]:
             raise UsageError(
                 f"--set {setting!r}: expected name=number, like viscous_friction.coefficient=0.3"
             )
+    return parsed
+
+
+def parse_tables(tables: list[str]) -> dict[str, Path]:
+    """Return the files in ``["name=file", …]``; UsageError says which one is not like that."""
+    parsed: dict[str, Path] = {}
+    for table in tables:
+        name, _, file = table.partition("=")
+        if not name.strip() or not file.strip():
+            raise UsageError(f"--table {table!r}: expected name=file, like force_map=map.csv")
+        parsed[name.strip()] = Path(file.strip())
     return parsed
 
 
@@ -108,6 +133,8 @@ def devices(
         for signal in spec.stream.signals:
             command = _commanded(signal, spec)
             print(f"  {signal.name} [{signal.unit}] {signal.description}{command}")
+        if plugins.firmware_folder(name) is not None:
+            print(f"  firmware for an Arduino Mega: labhil firmware {name} -o DIR")
 
 
 def _commanded(signal: Signal, spec: DriverSpec) -> str:

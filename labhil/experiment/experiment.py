@@ -51,13 +51,14 @@ class TwinSection(_Section):
     """``twin = { … }``: what the simulated device is made of. Never stands in a recording.
 
     ``terms`` None means the twin's own default; ``set`` overrides single values (SI); ``speed`` is how
-    many seconds of its world pass in one second.
+    many seconds of its world pass in one second; ``tables`` are files with measured maps.
     """
 
     speed: Positive = 1.0
     seed: Natural = 0
     terms: tuple[str, ...] | None = None
     set: dict[str, Finite] = {}
+    tables: dict[str, str] = {}
     wire: Literal["pty", "tcp"] = "pty"
 
     @field_validator("set", mode="before")

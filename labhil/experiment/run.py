@@ -183,7 +183,12 @@ class _Run:
         several = sum(other.section.address == TWIN for other in self._plan.devices) > 1
         answer = answer_path(self._path, device.name, several)
         twin, address = start_twin(
-            device.name, device.section.plugin, device.section.twin, answer, self._is_to_end
+            device.name,
+            device.section.plugin,
+            device.section.twin,
+            answer,
+            self._is_to_end,
+            self._plan.experiment.path.parent,
         )
         twins.callback(twin.stop)
         return address

@@ -15,14 +15,20 @@ START_TIMEOUT = 90.0
 
 
 def start_twin(
-    device: str, kind: str, section: TwinSection, answer: Path, interrupted: Callable[[], bool]
+    device: str,
+    kind: str,
+    section: TwinSection,
+    answer: Path,
+    interrupted: Callable[[], bool],
+    directory: Path = Path(),
 ) -> tuple[Child, str]:
     """Start the twin ``kind`` for ``device``; return its process and the address to connect to.
 
-    What it is made of goes to ``answer``. Raises UsageError with the twin's own words when it does not
-    start, BusError when it says nothing; the address is empty when ``interrupted`` turned true.
+    What it is made of goes to ``answer``; its tables are relative to ``directory``. Raises UsageError
+    with the twin's own words when it does not start, BusError when it says nothing; the address is
+    empty when ``interrupted`` turned true.
     """
-    twin = Child(f"the twin of {device!r}", twin_command(kind, section, answer))
+    twin = Child(f"the twin of {device!r}", twin_command(kind, section, answer, directory))
     try:
         address = twin.line(START_TIMEOUT, interrupted)
     except BaseException:
@@ -35,12 +41,14 @@ def start_twin(
     return twin, address or ""
 
 
-def twin_command(kind: str, section: TwinSection, answer: Path) -> list[str]:
-    """Return the command line that starts a twin."""
+def twin_command(kind: str, section: TwinSection, answer: Path, directory: Path = Path()) -> list[str]:
+    """Return the command line that starts a twin; its tables are relative to ``directory``."""
     command = [sys.executable, "-P", "-m", "labhil", "twin", kind]
     command += ["--seed", str(section.seed), "--speed", repr(section.speed), "--wire", section.wire]
     if section.terms is not None:
         command += ["--terms", ",".join(section.terms)]
     for name, value in section.set.items():
         command += ["--set", f"{name}={value!r}"]
+    for name, file in section.tables.items():
+        command += ["--table", f"{name}={directory / file}"]
     return [*command, "--answer", str(answer)]

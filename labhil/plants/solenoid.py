@@ -49,6 +49,12 @@ class Plunger(NamedTuple):
     patch: float
     patch_place: float
     patch_width: float
+    map_10: float
+    map_11: float
+    map_12: float
+    map_20: float
+    map_21: float
+    map_30: float
 
     @classmethod
     def of(cls, p: Mapping[str, float]) -> Plunger:
@@ -76,22 +82,29 @@ class Plunger(NamedTuple):
             patch=p.get("hidden_sticky_patch.level", 0.0),
             patch_place=p.get("hidden_sticky_patch.place", 0.0),
             patch_width=p.get("hidden_sticky_patch.width", 1.0),
+            map_10=p["force_map_10"],
+            map_11=p["force_map_11"],
+            map_12=p["force_map_12"],
+            map_20=p["force_map_20"],
+            map_21=p["force_map_21"],
+            map_30=p["force_map_30"],
         )
 
 
 @compiled
-def magnet_force(i: float, x: float) -> float:
-    """Force (N) at field current ``i`` (A) and position ``x`` (m): this project's own stated magnet."""
+def magnet_force(i: float, x: float, m: Plunger) -> float:
+    """Force (N) at field current ``i`` (A) and position ``x`` (m)."""
     y = x / STROKE
-    linear = 8.0 + 2.0 * y - 3.0 * y * y
-    return i * (linear + i * (12.0 + 1.5 * y - 2.0 * i))
+    linear = m.map_10 + m.map_11 * y + m.map_12 * y * y
+    return i * (linear + i * (m.map_20 + m.map_21 * y + m.map_30 * i))
 
 
 @compiled
-def force_per_current(i: float, x: float) -> float:
+def force_per_current(i: float, x: float, m: Plunger) -> float:
     """∂F/∂i of the magnet, N/A; what a moving plunger induces, V·s/m."""
     y = x / STROKE
-    return 8.0 + 2.0 * y - 3.0 * y * y + i * (24.0 + 3.0 * y - 6.0 * i)
+    linear = m.map_10 + m.map_11 * y + m.map_12 * y * y
+    return linear + i * (2.0 * m.map_20 + 2.0 * m.map_21 * y + 3.0 * m.map_30 * i)
 
 
 @compiled
@@ -116,7 +129,7 @@ def push(s: FloatArray, u: float, m: Plunger, rates: FloatArray) -> tuple[float,
     rates[EDDY] = (turned(s[TURNED], u, m.width) - s[EDDY]) / m.eddy if m.eddy > 0.0 else 0.0
     resistance = m.resistance * (1.0 + m.copper * (s[WARMTH] - m.reference))
     rates[WARMTH] = (resistance * u * u - (s[WARMTH] - m.ambient) / m.to_air) / m.capacity
-    magnet = magnet_force(field_of(s, u, m), x)
+    magnet = magnet_force(field_of(s, u, m), x, m)
     force = magnet + m.force - x * (m.spring + m.hardening * x * x)
     if m.latch != 0.0:
         away = (x - m.latch_place) / m.latch_width
@@ -154,8 +167,8 @@ def magnet(rows: FloatArray, m: Plunger, out: FloatArray) -> None:
     """Field current, force and ∂F/∂i (n, 3) at states and acting currents (n, states + 1)."""
     for k in range(len(rows)):
         i = field_of(rows[k], rows[k, -1], m)
-        out[k, 0], out[k, 1] = i, magnet_force(i, rows[k, X])
-        out[k, 2] = force_per_current(i, rows[k, X])
+        out[k, 0], out[k, 1] = i, magnet_force(i, rows[k, X], m)
+        out[k, 2] = force_per_current(i, rows[k, X], m)
 
 
 class SolenoidPlant:

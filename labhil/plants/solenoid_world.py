@@ -8,12 +8,19 @@ from labhil.plants.world import FRICTION, POSITIVE, SAMPLING, WAY_IN, WAY_OUT, W
 STROKE = 0.005
 COPPER = 0.0039
 
+FORCE_MAP = {
+    "force_map_10": 8.0, "force_map_11": 2.0, "force_map_12": -3.0,
+    "force_map_20": 12.0, "force_map_21": 1.5, "force_map_30": -2.0,
+}  # fmt: skip
+"""This project's own stated magnet, N: the factor of i^a·(x/5 mm)^b, i in A, for each ``force_map_ab``."""
+
 SOLENOID = World(
     bare={
         "moving_mass": 0.064,  # kg
         "spring_stiffness": 6850.0,  # N/m
         "stop_low": 0.0,  # m
         "stop_high": STROKE,  # m
+        **FORCE_MAP,
         "coil_resistance": 4.0,  # Ω
         "coil_inductance": 0.02,  # H
         "loop_time": 0.001,  # s, by which the current is behind what is asked of the current loop

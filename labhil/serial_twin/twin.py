@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from labhil.driver import ReadyCallback, TwinOptions
-from labhil.errors import UsageError
+from labhil.errors import UnknownNameError, UsageError
 from labhil.serial_twin.bench import Bench, SimulatedRig
 from labhil.serial_twin.ending import Ending
 from labhil.serial_twin.settings import Settable, TwinSettings
@@ -24,7 +24,7 @@ class SerialTwin:
     stands still. The watchdog's 0.3 s are the host's, whatever the speed.
 
     ``effects`` are what the plant can carry, each with one line about it; ``make`` builds the plant and
-    compiles it.
+    compiles it; ``tables`` turn files into parameters.
     """
 
     name: str
@@ -33,6 +33,7 @@ class SerialTwin:
     effects: Mapping[str, str]
     settable: Settable
     make: Callable[[TwinSettings], SimulatedRig]
+    tables: Mapping[str, Callable[[Path], Mapping[str, float]]] = field(default_factory=dict)
 
     def terms(self) -> Mapping[str, str]:
         """Names of the effects that the plant can carry, each with one line about it."""
@@ -47,7 +48,7 @@ class SerialTwin:
 
         Raises UsageError or UnknownNameError for options that make no twin, before anything is opened.
         """
-        settings = TwinSettings.of(options, self.settable)
+        settings = TwinSettings.of(self._with_tables(options), self.settable)
         if options.answer is not None:
             write_answer(options.answer, settings)
         with Ending() as ending:
@@ -58,6 +59,15 @@ class SerialTwin:
                 bench.serve(wire, ending)
             finally:
                 wire.close()
+
+    def _with_tables(self, options: TwinOptions) -> TwinOptions:
+        """The options with what stands in tables among the parameters; ``--set`` has the last word."""
+        told: dict[str, float] = {}
+        for name, path in options.tables.items():
+            if name not in self.tables:
+                raise UnknownNameError("table", name, self.tables)
+            told |= self.tables[name](path)
+        return replace(options, parameters={**told, **options.parameters})
 
 
 def write_answer(path: Path, settings: TwinSettings) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from labhil.plants.force_map import force_map_of
 from labhil.plants.solenoid_world import SOLENOID
 from labhil.serial_twin.bench import SimulatedRig
 from labhil.serial_twin.settings import TwinSettings, check_range, check_whole, settable_world
@@ -45,4 +46,5 @@ TWIN = SerialTwin(
     effects={name: effect.about for name, effect in SOLENOID.effects.items()},
     settable=settable_world(SOLENOID, ("viscous_friction", "coulomb_friction"), DEVICE, check),
     make=make,
+    tables={"force_map": force_map_of},
 )

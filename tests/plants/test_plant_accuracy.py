@@ -8,7 +8,7 @@ from labhil.errors import UnknownNameError, UsageError
 from labhil.plants.axis import AxisPlant
 from labhil.plants.dc_motor import DcMotorPlant
 from labhil.plants.rigs import PLANTS, WORLDS, effects_of, plant_of
-from labhil.plants.solenoid import SolenoidPlant, force_per_current, magnet_force
+from labhil.plants.solenoid import SOLENOID, Plunger, SolenoidPlant, force_per_current, magnet_force
 
 PERIOD = {"ball_beam": 0.01, "dc_motor": 0.01, "axis": 0.001, "solenoid": 0.001}
 SIZE = {"ball_beam": 0.4, "dc_motor": 5.0, "axis": 150.0, "solenoid": 1.8}
@@ -35,6 +35,8 @@ OWN = {
     "axis": ("cogging_torque", "spring_hardening", "joint_elasticity", "temperature_dependent_friction"),
     "solenoid": ("spring_hardening", "end_stop_contact", "eddy_current", "magnetic_hysteresis"),
 }
+
+MAGNET = Plunger.of(SOLENOID.resolve((), {}))
 
 
 def levels(kind, seconds, seed=0):
@@ -100,7 +102,7 @@ def test_another_integrator_finds_the_same_motion_where_nothing_rests(kind):
 
         def rates(now, s):
             x, v, i = s
-            force = magnet_force(i, x) - 6850.0 * x - 5.0 * v
+            force = magnet_force(i, x, MAGNET) - 6850.0 * x - 5.0 * v
             return [v, force / 0.064, (np.interp(now, t, u) - i) / 0.003]
 
         begin, state = 0, [0.0, 0.0, 0.0]
@@ -146,8 +148,8 @@ def test_work_done_on_an_elastic_axis_is_kept_or_lost_to_friction():
 def test_a_coil_takes_in_what_the_plunger_gives_out_by_motion():
     """∂F/∂i is the rate at which a moving plunger induces voltage: λ = ∂W'/∂i and F = ∂W'/∂x."""
     i, x, d = 1.3, 0.002, 1e-6
-    slope = (magnet_force(i + d, x) - magnet_force(i - d, x)) / (2.0 * d)
-    assert force_per_current(i, x) == pytest.approx(slope, rel=1e-6)
+    slope = (magnet_force(i + d, x, MAGNET) - magnet_force(i - d, x, MAGNET)) / (2.0 * d)
+    assert force_per_current(i, x, MAGNET) == pytest.approx(slope, rel=1e-6)
     current = levels("solenoid", 0.5)
     with_it, without = (
         SolenoidPlant(QUIET["solenoid"], (*FRICTION, *more)).simulate(current)
@@ -155,7 +157,7 @@ def test_a_coil_takes_in_what_the_plunger_gives_out_by_motion():
     )
     induced = with_it.measured["coil_voltage"] - without.measured["coil_voltage"]
     v, x = with_it.truth["plunger_velocity"], with_it.truth["plunger_position"]
-    expected = [force_per_current(a, b) * c for a, b, c in zip(current, x, v, strict=True)]
+    expected = [force_per_current(a, b, MAGNET) * c for a, b, c in zip(current, x, v, strict=True)]
     np.testing.assert_allclose(induced, expected, atol=1e-9)
 
 

@@ -4,10 +4,23 @@ import numpy as np
 import pytest
 
 from labhil.driver import Driver, TwinOptions
-from labhil.errors import CommandRefusedError, DeviceError, ProtocolError, UnknownNameError, UsageError
+from labhil.errors import (
+    CommandRefusedError,
+    DeviceError,
+    ExperimentFileError,
+    ProtocolError,
+    RigFileError,
+    UnknownNameError,
+    UsageError,
+)
+from labhil.experiment.controller import Controller
+from labhil.experiment.experiment import Stabilise, Step, TimedStep
 from labhil.link import ChannelScale, Hello
 from labhil.plugins import load_twin
+from labhil.rig import Limit
 from labhil.serial_rig.rig import Scaler
+from labhil.service.host import refuse_unwatched
+from labhil.service.messages import HostConfig
 from labhil.signals import Batch
 from labhil.testing import DriverContract
 from labhil_dc_motor import DcMotorDriver
@@ -115,6 +128,21 @@ def test_a_channel_that_must_be_there_is_missed():
     assert "expected 5 channels" in SOLENOID.complaint(
         Hello(1, (1, 0, 0), "solenoid", "", 1, 2, 100.0, 1.0, hello.channels[:2])
     )
+
+
+def test_what_needs_a_channel_that_is_not_fitted_is_refused():
+    driver = SolenoidDriver("nowhere")
+    driver.spec = SOLENOID.spec_of(told(driver, "solenoid"))
+    limited = HostConfig("coil", "solenoid", "nowhere", {"magnetic_force": Limit(max=80.0)})
+    with pytest.raises(RigFileError, match=r"limits\.magnetic_force.* no such channel"):
+        refuse_unwatched(driver, limited)
+    refuse_unwatched(driver, HostConfig("coil", "solenoid", "nowhere", {"coil_current": Limit(max=3.0)}))
+    step = Step(
+        device="coil", signal="coil_current_command", excitation="hold", level=0.5, duration=1.0,
+        stabilise=Stabilise(on="magnetic_force", kp=1.0),
+    )  # fmt: skip
+    with pytest.raises(ExperimentFileError, match="no such channel"):
+        Controller([TimedStep(0, step, 0.0)], driver.spec.stream, driver.spec.safe)
 
 
 def test_turns_are_counted_both_ways_and_across_frames():

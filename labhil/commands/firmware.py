@@ -1,0 +1,55 @@
+"""The command that hands out the firmware of our benches."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from labhil.console import tell
+from labhil.errors import UnknownNameError
+
+
+def add_firmware(app: typer.Typer) -> None:
+    """Register this command."""
+    app.command(epilog="Example: labhil firmware ball_beam -o ball_beam_firmware")(firmware)
+
+
+def firmware(
+    name: Annotated[
+        str | None, typer.Argument(help="A driver; without one, those that have firmware.")
+    ] = None,
+    *,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", metavar="DIR", help="Copy it to this new folder.")
+    ] = None,
+) -> None:
+    """Tell where a bench's firmware for the Arduino Mega is, or copy it to edit and build it.
+
+    How to build, flash, wire and calibrate: docs/firmware.md.
+    """
+    from labhil import plugins
+
+    folders = {driver: plugins.firmware_folder(driver) for driver in plugins.names(plugins.DRIVERS)}
+    ours = {driver: folder for driver, folder in folders.items() if folder is not None}
+    if name is None:
+        for driver, folder in ours.items():
+            print(f"{driver}  {folder}")
+        return
+    if name not in ours:
+        raise UnknownNameError("firmware", name, ours)
+    if out is None:
+        print(ours[name])
+        return
+    from labhil_firmware import write_sources
+
+    write_sources(ours[name], out)
+    tell(
+        (
+            f"wired and calibrated as {out / 'bench.h'} says: edit that first",
+            f"build: make -C {out}",
+            f"flash: make -C {out} flash PORT=/dev/ttyACM0",
+        )
+    )
+    print(out)
