@@ -19,7 +19,7 @@ def add_files(app: typer.Typer) -> None:
 
 
 def import_(
-    data: Annotated[Path, typer.Argument(help="A text table (any extension) or a MAT file.")],
+    data: Annotated[Path, typer.Argument(help="A text table, MAT, Parquet, XLSX, or ROS 2 bag.")],
     rig: Annotated[
         Path, typer.Option(help="The rig file; its [table] and [channels] say how to read the data.")
     ],
@@ -36,12 +36,23 @@ def import_(
 
 def export(
     recording: Annotated[Path, typer.Argument(help="A recording (.mcap).")],
-    out: Annotated[Path, typer.Option("-o", "--out", help="The table to write (.csv).")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "-o", "--out", help="What to write: .csv, .parquet, .mat, .xlsx or .rosbag2 (a folder)."
+        ),
+    ],
+    stream: Annotated[
+        str | None, typer.Option(metavar="/DEVICE/STREAM", help="Which stream (default: state).")
+    ] = None,
 ) -> None:
-    """Write the samples of a recording as a table: a column t (s), then the signals in SI units."""
+    """Write the samples of a recording as a table: a column t (s), then the signals in SI units.
+
+    A ROS 2 bag holds all streams; the others hold one.
+    """
     from labhil.recording.export import export as write_table
     from labhil.recording.reader import read_recording
 
     found = read_recording(recording)
     tell(found.losses())
-    print(write_table(found, out))
+    print(write_table(found, out, stream))
