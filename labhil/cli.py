@@ -14,6 +14,7 @@ import typer
 from labhil.commands.acquisition import add_acquisition
 from labhil.commands.analysis import add_analysis
 from labhil.commands.files import add_files
+from labhil.commands.machine import add_machine
 from labhil.commands.studies import add_studies
 from labhil.commands.trials import add_trials
 from labhil.errors import LabhilError
@@ -55,5 +56,5 @@ def _labhil(
     """Bench-to-model loop: acquire, fit, diagnose."""
 
 
-for add in (add_acquisition, add_files, add_analysis, add_trials, add_studies):
+for add in (add_acquisition, add_files, add_analysis, add_trials, add_studies, add_machine):
     add(app)

@@ -392,4 +392,5 @@ def _records(raw: bytes) -> Iterator[tuple[int, int, int]]:
 
 
 def _message(body: bytes) -> Message:
-    return Message(*_MESSAGE.unpack_from(body), body[_MESSAGE.size :])
+    channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(body)
+    return Message(channel, sequence, log_time, publish_time, body[_MESSAGE.size :])
