@@ -53,7 +53,8 @@ def exported_stream(recording: Recording, name: str | None = None) -> StreamData
     chosen = {key: data for key, data in filled.items() if data.stream.name == "state"} or filled
     if len(chosen) == 1:
         return next(iter(chosen.values()))
-    found = f"found {', '.join(chosen)}; choose one with --stream" if chosen else "found none with samples"
+    nothing = "found none with samples" if recording.streams else f"found {recording.no_streams()}"
+    found = f"found {', '.join(chosen)}; choose one with --stream" if chosen else nothing
     raise RecordingError(f"{recording.path}: expected one stream to export, {found}")
 
 
