@@ -73,3 +73,24 @@ def test_counts_times_and_values_are_those_of_another_reader(reader: Path, tmp_p
         for event in ours.events:
             events[f"/{event.device}/{event.topic}"] = events.get(f"/{event.device}/{event.topic}", 0) + 1
         assert {topic: found["count"] for topic, found in theirs.items()} == events
+
+
+def test_rerun_finds_the_fields_that_it_would_plot(tmp_path: Path) -> None:
+    """Rerun is not among the packages of the tests, being 170 MB: ``pip install rerun-sdk`` first."""
+    rerun = pytest.importorskip("rerun.chunk", reason="rerun-sdk is not installed: pip install rerun-sdk")
+    for path in recordings(tmp_path):
+        found: dict[str, list[tuple[int, dict[str, object]]]] = {}
+        for chunk in rerun.McapReader(str(path)).stream():
+            batch = chunk.to_record_batch()
+            columns = [name for name in batch.schema.names if name.endswith(":message")]
+            if chunk.is_static or not columns:
+                continue
+            stamps = batch.column("message_log_time").cast("int64").to_pylist()
+            samples = [sample for (sample,) in batch.column(columns[0]).to_pylist()]
+            found.setdefault(str(chunk.entity_path), []).extend(zip(stamps, samples, strict=True))
+        for data in read_recording(path).streams:
+            rows = sorted(found[f"/{data.device}/{data.stream.name}"], key=lambda row: row[1]["seq"])
+            assert [stamp for stamp, _ in rows] == data.t_acq_ns.tolist()
+            assert [sample["seq"] for _, sample in rows] == data.seq.tolist()
+            for name in data.stream.names():
+                assert [sample[name] for _, sample in rows] == data[name].tolist(), (path, name)
