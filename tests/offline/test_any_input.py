@@ -18,7 +18,7 @@ from labhil.kinds import KINDS
 from labhil.link import Config, Hello, SetCommand, State
 from labhil.rig import RigFile, parse_rig
 
-EXAMPLES = int(os.environ.get("LABHIL_EXAMPLES", "15"))
+EXAMPLES = int(os.environ.get("LABHIL_EXAMPLES", "10"))
 """Of each property; set LABHIL_EXAMPLES for more."""
 
 RIG = Path("rig.toml")

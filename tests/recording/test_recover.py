@@ -87,7 +87,7 @@ def saved(data, **options):
     return [plain(message) for message in salvage(data, **options).messages]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(share=st.floats(0.0, 1.0, exclude_max=True))
 def test_of_a_file_cut_anywhere_all_before_the_cut_is_saved(whole, share):
     cut = int(share * len(whole))
@@ -121,7 +121,7 @@ def test_of_a_file_without_chunks_every_whole_message_is_saved():
     assert saved(bytes(broken)) == meant[:9] + meant[10:]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(
     hits=st.lists(
         st.tuples(st.floats(0.0, 1.0, exclude_max=True), st.integers(1, 255)), min_size=1, max_size=4
