@@ -438,7 +438,7 @@ def test_exports_that_cannot_be_are_refused_in_words(tmp_path):
         export_csv(recording, tmp_path / "nowhere" / "out.csv")
     with RecordingWriter(tmp_path / "empty.mcap") as writer:
         writer.metadata("nothing", {})
-    with pytest.raises(RecordingError, match="expected one stream to export, found none with samples"):
+    with pytest.raises(RecordingError, match="expected one stream to export, found no streams at all"):
         export(read_recording(tmp_path / "empty.mcap"), tmp_path / "out.csv")
 
 
