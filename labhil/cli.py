@@ -15,6 +15,7 @@ from labhil.commands.acquisition import add_acquisition
 from labhil.commands.analysis import add_analysis
 from labhil.commands.files import add_files
 from labhil.commands.firmware import add_firmware
+from labhil.commands.machine import add_machine
 from labhil.commands.safety import add_safety
 from labhil.commands.studies import add_studies
 from labhil.commands.trials import add_trials
@@ -67,5 +68,6 @@ for add in (
     add_trials,
     add_studies,
     add_tui,
+    add_machine,
 ):
     add(app)

@@ -116,6 +116,7 @@ def fit(
     apart = split_names(per_recording) or ()
     material = load_material(recordings, rig, test, holdout, apart, span=span, all_of_it=True, device=device)
     tell(material.losses())
+    material.refuse_holes()
     with status() as say:
         options = Options(window, method, simultaneous, estimator_named(estimator), seed, say, small)
         result = fit_study(material, terms=split_names(names), start=model, options=options)
@@ -241,6 +242,7 @@ def linear(
     refuse_unwritable(json_path)
     material = load_material(recording, rig, test, holdout)
     tell(material.losses())
+    material.refuse_holes()
     with status() as say:
         rows = linear_study(material.learn, material.judge, split_names(models), progress=say)
     for line in study_text(rows):

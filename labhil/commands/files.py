@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from labhil.console import tell
+from labhil.console import refuse_unwritable, tell, write_json
 
 
 def add_files(app: typer.Typer) -> None:
@@ -16,10 +16,11 @@ def add_files(app: typer.Typer) -> None:
         import_
     )
     app.command(epilog="Example: labhil export run.mcap -o run.csv")(export)
+    app.command(epilog="Example: labhil recover broken.mcap -o saved.mcap")(recover)
 
 
 def import_(
-    data: Annotated[Path, typer.Argument(help="A text table (any extension) or a MAT file.")],
+    data: Annotated[Path, typer.Argument(help="A text table, MAT, Parquet, XLSX, or ROS 2 bag.")],
     rig: Annotated[
         Path, typer.Option(help="The rig file; its [table] and [channels] say how to read the data.")
     ],
@@ -36,15 +37,55 @@ def import_(
 
 def export(
     recording: Annotated[Path, typer.Argument(help="A recording (.mcap).")],
-    out: Annotated[Path, typer.Option("-o", "--out", help="The table to write (.csv).")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "-o", "--out", help="What to write: .csv, .parquet, .mat, .xlsx or .rosbag2 (a folder)."
+        ),
+    ],
     device: Annotated[
         str | None, typer.Option(metavar="NAME", help="Which device, where a recording holds several.")
     ] = None,
+    stream: Annotated[
+        str | None, typer.Option(metavar="/DEVICE/STREAM", help="Which stream (default: state).")
+    ] = None,
 ) -> None:
-    """Write the samples of a recording as a table: a column t (s), then the signals in SI units."""
+    """Write the samples of a recording as a table: a column t (s), then the signals in SI units.
+
+    A ROS 2 bag holds all streams; the others hold one.
+    """
     from labhil.recording.export import export as write_table
     from labhil.recording.reader import read_recording
 
     found = read_recording(recording).of_device(device)
     tell(found.losses())
-    print(write_table(found, out))
+    print(write_table(found, out, stream))
+
+
+def recover(
+    broken: Annotated[Path, typer.Argument(help="A recording that is cut, damaged or without an end.")],
+    out: Annotated[
+        Path, typer.Option("-o", "--out", help="The recording to write (.mcap); never overwrites.")
+    ],
+    *,
+    keep_doubtful: Annotated[
+        bool,
+        typer.Option(
+            "--keep-doubtful", help="Keep messages of chunks whose checksum is wrong: values may be wrong."
+        ),
+    ] = False,
+    json_path: Annotated[Path | None, typer.Option("--json", help="Write what was lost here.")] = None,
+) -> None:
+    """Save every whole message of a broken recording, and say what was lost.
+
+    Takes any MCAP file, also a .part that a killed recorder left. What is written is read back and
+    compared before it gets its name.
+    """
+    from labhil.recording.recover import recover as save
+
+    refuse_unwritable(json_path, out)
+    result = save(broken, out, keep_doubtful=keep_doubtful)
+    tell(result.lines())
+    if json_path is not None:
+        write_json(result.to_json(), json_path)
+    print(result.path)

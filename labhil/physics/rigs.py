@@ -190,4 +190,4 @@ def _needed(kind: RigKind) -> str:
 
 def _found(recording: Recording) -> str:
     streams = [f"{s.device}/{s.stream.name}: {', '.join(s.stream.names())}" for s in recording.streams]
-    return "; ".join(streams) or "no stream"
+    return "; ".join(streams) or recording.no_streams()

@@ -2,26 +2,64 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
-from labhil.errors import RecordingError, UsageError
+from labhil.errors import RecordingError, UsageError, suggestion
+from labhil.recording.formats.bag_writer import write_bag
+from labhil.recording.formats.matlab import write_mat
+from labhil.recording.formats.parquet import write_parquet
+from labhil.recording.formats.workbook import write_workbook
 from labhil.recording.reader import Recording, StreamData
+from labhil.signals import FloatArray, Stream
+
+BAG = ".rosbag2"
+"""The extension that asks for a ROS 2 bag; a bag is a folder."""
 
 
-def exported_stream(recording: Recording) -> StreamData:
-    """The stream that a table is made of: ``state``, or the one that has samples.
+def write_csv(stream: Stream, t: FloatArray, values: FloatArray, out: Path) -> None:
+    """Write a header line, the column ``t`` (s), then the signals, as digits that give the same doubles."""
+    rows = np.column_stack([t, values]).tolist()
+    lines = [",".join(("t", *stream.columns()))]
+    lines += [",".join(map(repr, row)) for row in rows]
+    out.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
-    RecordingError when the recording holds no samples, or several streams of which none is the one.
+
+WRITERS: Mapping[str, Callable[[Stream, FloatArray, FloatArray, Path], None]] = {
+    ".csv": write_csv,
+    ".parquet": write_parquet,
+    ".mat": write_mat,
+    ".xlsx": write_workbook,
+}
+
+
+def exported_stream(recording: Recording, name: str | None = None) -> StreamData:
+    """The stream that a table is made of: ``name`` (``/device/stream``), or ``state``, or the only one.
+
+    RecordingError when there is no such stream, or no samples, or several streams of which none is the one.
     """
-    filled = [data for data in recording.streams if len(data)]
-    chosen = [data for data in filled if data.stream.name == "state"] or filled
+    filled = {f"/{data.device}/{data.stream.name}": data for data in recording.streams if len(data)}
+    if name is not None:
+        topic = f"/{name.strip('/')}"
+        if topic not in filled:
+            found = ", ".join(filled) or "none with samples"
+            raise RecordingError(
+                f"{recording.path}: expected a stream {topic}{suggestion(topic, filled)}, found {found}"
+            )
+        return filled[topic]
+    chosen = {key: data for key, data in filled.items() if data.stream.name == "state"} or filled
     if len(chosen) == 1:
-        return chosen[0]
-    found = ", ".join(f"/{data.device}/{data.stream.name}" for data in chosen) or "none with samples"
-    hint = "; choose a device with --device" if len({data.device for data in chosen}) > 1 else ""
-    raise RecordingError(f"{recording.path}: expected one stream to export, found {found}{hint}")
+        return next(iter(chosen.values()))
+    nothing = "found none with samples" if recording.streams else f"found {recording.no_streams()}"
+    found = (
+        f"found {', '.join(chosen)}; choose one with --stream, or a device with --device"
+        if chosen
+        else nothing
+    )
+    raise RecordingError(f"{recording.path}: expected one stream to export, {found}")
 
 
 def export_csv(recording: Recording, out: Path, stream: StreamData | None = None) -> Path:
@@ -30,20 +68,49 @@ def export_csv(recording: Recording, out: Path, stream: StreamData | None = None
     Numbers are written so that reading them gives the same doubles. Without ``stream`` the recording's
     ``state`` is written. UsageError when ``out`` cannot be written.
     """
-    data = exported_stream(recording) if stream is None else stream
-    rows = np.column_stack([data.t, data.values]).tolist()
-    lines = [",".join(("t", *data.stream.columns()))]
-    lines += [",".join(map(repr, row)) for row in rows]
+    return _written(write_csv, exported_stream(recording) if stream is None else stream, out)
+
+
+def export(recording: Recording, out: Path, stream: str | None = None) -> Path:
+    """Write a recording in the format that the extension of ``out`` names.
+
+    A bag holds all streams that have samples, a table the one that :func:`exported_stream` chooses.
+    UsageError for other extensions and where ``out`` cannot be written.
+    """
+    suffix = out.suffix.lower()
+    if suffix == BAG:
+        return _write_bag(recording, out, stream)
+    if suffix not in WRITERS:
+        raise UsageError(
+            f"{out}: expected an extension {', '.join(WRITERS)} or {BAG}, found {suffix or 'none'!r}"
+        )
+    return _written(WRITERS[suffix], exported_stream(recording, stream), out)
+
+
+def _write_bag(recording: Recording, out: Path, stream: str | None) -> Path:
+    filled = [data for data in recording.streams if len(data)]
+    if stream is not None or not filled:
+        filled = [exported_stream(recording, stream)]
     try:
-        out.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        write_bag(filled, out)
     except OSError as error:
-        raise UsageError(f"{out}: cannot be written: {error.strerror}") from error
+        raise UsageError(f"{out}: cannot be written: {error.strerror or error}") from error
     return out
 
 
-def export(recording: Recording, out: Path) -> Path:
-    """Write a recording in the format that the extension of ``out`` names; UsageError for others."""
-    suffix = out.suffix.lower()
-    if suffix != ".csv":
-        raise UsageError(f"{out}: expected an extension .csv, found {suffix or 'none'!r}")
-    return export_csv(recording, out)
+def _written(
+    write: Callable[[Stream, FloatArray, FloatArray, Path], None], data: StreamData, out: Path
+) -> Path:
+    """Write beside ``out`` first, so that nobody finds half a table there."""
+    part = out.with_name(f"{out.name}.part")
+    if out.is_dir():
+        raise UsageError(f"{out}: expected a file to write, found a folder")
+    try:
+        write(data.stream, data.t, data.values, part)
+        part.replace(out)
+    except OSError as error:
+        raise UsageError(f"{out}: cannot be written: {error.strerror or error}") from error
+    finally:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+    return out

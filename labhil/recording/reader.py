@@ -90,7 +90,8 @@ class Recording:
     """A recording as it stands in its file.
 
     ``complete`` is False when the file has no end (its recorder was killed) or a part of it is damaged;
-    ``damage`` then says what is missing. ``rig`` is the rig file that was attached, if one was.
+    ``damage`` then says what is missing. ``rig`` is the rig file that was attached, if one was. ``foreign``
+    names the channels of other programs, with their encoding; their samples are not read.
     """
 
     path: Path
@@ -102,6 +103,7 @@ class Recording:
     events: tuple[Event, ...]
     complete: bool
     damage: str = ""
+    foreign: tuple[str, ...] = ()
 
     def of_device(self, name: str | None) -> Recording:
         """Return what this recording holds of one device, with that device's rig file; all of it for None.
@@ -136,8 +138,14 @@ class Recording:
             f"/{data.device}/{data.stream.name}: {', '.join(data.stream.names())}" for data in self.streams
         )
         raise RecordingError(
-            f"{self.path}: expected a stream with {wanted}{near}; found: {what or 'no streams at all'}"
+            f"{self.path}: expected a stream with {wanted}{near}; found: {what or self.no_streams()}"
         )
+
+    def no_streams(self) -> str:
+        """What is found where no stream of ours is, for messages."""
+        if not self.foreign:
+            return "no streams at all"
+        return f"no stream of labhil, but channels of another program: {', '.join(self.foreign)}"
 
     def losses(self) -> list[str]:
         """What is not there that should be, a line each: the end of the file, damaged parts, lost samples."""
@@ -183,6 +191,15 @@ def read_recording(path: Path) -> Recording:
         events=_events(contents, origin_ns, {data.device: data.speed for data in streams}),
         complete=not contents.damage,
         damage=contents.damage,
+        foreign=_foreign(contents),
+    )
+
+
+def _foreign(contents: Contents) -> tuple[str, ...]:
+    return tuple(
+        f"{channel.topic} ({channel.message_encoding or 'no encoding'})"
+        for channel in contents.channels.values()
+        if "labhil.stream" not in channel.metadata and "device" not in channel.metadata
     )
 
 

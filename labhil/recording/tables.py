@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labhil.errors import TableError, suggestion
-from labhil.recording.columns import Columns, read_columns
+from labhil.recording.columns import read_columns
+from labhil.recording.formats.columns import Columns
 from labhil.recording.reader import RIG_ATTACHMENT
 from labhil.recording.timeline import longest_run
 from labhil.recording.writer import RecordingWriter
@@ -20,6 +21,12 @@ from labhil.rig import Channel, Column, RigFile
 from labhil.signals import Batch, Direction, FloatArray, IntArray, Signal, Stream
 
 TIME_COLUMNS = ("t", "time", "timestamp")
+MOST_NAMES = 40
+"""Columns that a message lists."""
+
+UNSTEADY = 0.02
+"""A mean rate that differs from the median one by more than this share is told."""
+
 LONGEST_TIME = 9e9
 """s; what fits into int64 nanoseconds."""
 
@@ -37,7 +44,8 @@ class ImportedTable:
     ``t`` (n,) is in s from the first kept row, which stood at ``time_origin`` in the file; ``values`` has
     shape (n, stream.width); ``row`` (n,) is each kept row's number among the ``rows`` of the file, so
     that what was dropped is a hole in it. ``dropped`` counts bad rows by reason, ``outside`` for each
-    limited signal the kept rows that lie outside its limits, and ``flagged`` (n,) marks these.
+    limited signal the kept rows that lie outside its limits, and ``flagged`` (n,) marks these. ``notes`` say
+    how the rows came to be, where that is not plain.
     """
 
     source: Path
@@ -52,6 +60,7 @@ class ImportedTable:
     dropped: Mapping[str, int]
     outside: Mapping[str, int]
     flagged: Mask
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.row)
@@ -78,11 +87,13 @@ class _Sheet:
         """What columns there are, for messages."""
         if self.columns.names is None:
             return f"no header and {self.columns.width} columns, 0 to {self.columns.width - 1}"
-        return f"the columns {', '.join(self.columns.names)}"
+        names = self.columns.names
+        more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
+        return f"the columns {', '.join(names[:MOST_NAMES])}{more}"
 
     def line(self, row: int) -> str:
         """Where a row stands, for messages."""
-        return f"{self.path}, line {self.columns.lines[row]}"
+        return f"{self.path}, {self.columns.row_word} {self.columns.lines[row]}"
 
 
 def import_table(data: Path, rig: RigFile) -> ImportedTable:
@@ -91,10 +102,7 @@ def import_table(data: Path, rig: RigFile) -> ImportedTable:
     TableError names the file, the column, what was expected and what was found: where a column is
     missing, where no row is good, and for any bad row if the rig file says ``bad_rows = "fail"``.
     """
-    try:
-        content = data.read_bytes()
-    except OSError as error:
-        raise TableError(f"{data}: cannot be read: {error.strerror}") from error
+    content, sha256 = _content(data)
     sheet = _Sheet(data, read_columns(data, content, rig.table, _wanted(rig)), rig)
     mapped, time_channel = _signals(sheet), _time_channel(sheet)
     taken = [(one, _scaled(sheet, one)) for one in mapped]
@@ -111,7 +119,7 @@ def import_table(data: Path, rig: RigFile) -> ImportedTable:
     complete = sheet.columns.complete
     return ImportedTable(
         source=data,
-        sha256=hashlib.sha256(content).hexdigest(),
+        sha256=sha256,
         rig=rig,
         stream=stream,
         row=row,
@@ -126,6 +134,7 @@ def import_table(data: Path, rig: RigFile) -> ImportedTable:
         },
         outside=outside,
         flagged=flagged,
+        notes=sheet.columns.notes,
     )
 
 
@@ -144,6 +153,7 @@ def write_import(table: ImportedTable, out: Path) -> Path:
         "time_origin": repr(table.time_origin),
         **{f"dropped.{reason}": str(count) for reason, count in table.dropped.items()},
         **{f"outside_limits.{name}": str(count) for name, count in table.outside.items()},
+        **{f"note.{number}": note for number, note in enumerate(table.notes)},
     }
     with RecordingWriter(out) as writer:
         writer.attach(RIG_ATTACHMENT, "application/toml", table.rig.text.encode())
@@ -157,7 +167,11 @@ def describe_import(table: ImportedTable) -> list[str]:
     """What a person wants to know of an import, a line each."""
     signals = ", ".join(f"{signal.name} [{signal.unit}]" for signal in table.stream.signals)
     extent = f"{table.t[-1]:.6g} s at {table.stream.rate:.6g} Hz"
+    mean = (len(table) - 1) / table.t[-1]
+    if abs(mean / table.stream.rate - 1.0) > UNSTEADY:
+        extent += f" (by the median step; {mean:.4g} rows a second on average)"
     lines = [f"{table.source}: {len(table)} of {table.rows} rows, {extent}", f"signals: {signals}"]
+    lines += table.notes
     why = {
         FIELD_COUNT: "wrong number of fields",
         NOT_FINITE: "text, NaN or nothing in a mapped column",
@@ -170,11 +184,30 @@ def describe_import(table: ImportedTable) -> list[str]:
     return lines
 
 
-def _wanted(rig: RigFile) -> frozenset[str]:
-    mapped = {source for channel in rig.channels.values() for source in channel.sources()}
-    own = {column for signal in rig.kind.signals() for column in signal.columns()}
-    names = mapped if rig.channels else own | set(TIME_COLUMNS)
-    return frozenset(name for name in names if isinstance(name, str))
+def _content(path: Path) -> tuple[bytes, str]:
+    """The bytes of a file and their SHA-256; of a folder none, and the SHA-256 over its files by name."""
+    try:
+        if not path.is_dir():
+            content = path.read_bytes()
+            return content, hashlib.sha256(content).hexdigest()
+        digest = hashlib.sha256()
+        for inner in sorted(path.iterdir()):
+            if inner.is_file():
+                digest.update(inner.name.encode() + b"\x00" + inner.read_bytes())
+    except OSError as error:
+        raise TableError(f"{path}: cannot be read: {error.strerror}") from error
+    return b"", digest.hexdigest()
+
+
+def _wanted(rig: RigFile) -> tuple[str, ...]:
+    """The column names that the rig file asks for: the time, the outputs, the others."""
+    kind = rig.kind
+    signals = (*kind.outputs, *kind.inputs, *kind.optional, *kind.auxiliary)
+    if not rig.channels:
+        return (*TIME_COLUMNS, *(column for signal in signals for column in signal.columns()))
+    channels = [rig.channels[name] for name in ("t", *(s.name for s in signals)) if name in rig.channels]
+    sources = (source for channel in channels for source in channel.sources())
+    return tuple(source for source in sources if isinstance(source, str))
 
 
 def _signals(sheet: _Sheet) -> tuple[_Mapped, ...]:
@@ -244,16 +277,17 @@ def _place(sheet: _Sheet, name: str, source: Column) -> int:
         if source < sheet.columns.width:
             return source
         raise TableError(f"{sheet.path}: {name}: expected a column {source}, found {sheet.available()}")
-    if names.count(source) == 1:
-        return names.index(source)
-    if source in names:
+    found = sheet.columns.find(source)
+    if len(found) == 1:
+        return found[0]
+    if found:
         raise TableError(f"{sheet.path}: {name}: expected one column {source!r}, found several")
     near = suggestion(source, names)
     raise TableError(f"{sheet.path}: {name}: expected a column {source!r}{near}, found {sheet.available()}")
 
 
 def _scaled(sheet: _Sheet, mapped: _Mapped) -> FloatArray:
-    raw = np.column_stack([sheet.columns.numbers(column) for column in mapped.columns])
+    raw = np.column_stack([sheet.columns.numbers(column, mapped.signal.hold) for column in mapped.columns])
     return np.asarray(raw * mapped.scale + mapped.offset, dtype=np.float64)
 
 

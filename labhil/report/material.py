@@ -77,6 +77,11 @@ class Material:
         """What the recordings lack, a line each."""
         return [line for recording, _, _ in self.recordings for line in recording.losses()]
 
+    def refuse_holes(self) -> None:
+        """RecordingError where a recording has numbers that are none, or times that do not increase."""
+        for recording, record, _ in self.recordings:
+            refuse_holes(recording.path, record)
+
 
 def load_material(
     path: Path | Sequence[Path],
@@ -121,6 +126,25 @@ def load_material(
     judging = tuple((recording, record, "test") for recording, record in zip(tested, tests, strict=True))
     learn, judge = model.prepare(measured), model.prepare(test)
     return Material(rig, model, learn, judge, True, measured, (*learning, *judging))
+
+
+def refuse_holes(path: Path, record: Record) -> None:
+    """RecordingError where inputs or outputs are not finite, or times do not increase."""
+    standing = np.flatnonzero(np.diff(record.t) <= 0.0)
+    if len(standing):
+        raise RecordingError(
+            f"{path}: expected times that increase, found {len(standing)} that do not, the first after "
+            f"{record.t[standing[0]]:g} s; `labhil diagnose` tells more of its faults"
+        )
+    names = (*record.input_names, *record.output_names)
+    for name, values in zip(names, np.hstack([record.inputs, record.outputs]).T, strict=True):
+        bad = np.flatnonzero(~np.isfinite(values))
+        if len(bad):
+            raise RecordingError(
+                f"{path}: {name}: expected finite numbers, found {len(bad)} of {len(values)} samples that "
+                f"are none, the first at {record.t[bad[0]]:g} s; `labhil export` to a table and `labhil "
+                "import` of that drop such rows"
+            )
 
 
 def _measured(

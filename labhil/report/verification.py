@@ -20,7 +20,7 @@ from labhil.physics.rigs import model_for, record_of
 from labhil.physics.terms import keyed
 from labhil.recording.reader import read_recording
 from labhil.report.kept_curve import under_kept_curve
-from labhil.report.material import rig_of
+from labhil.report.material import refuse_holes, rig_of
 from labhil.report.results import Source, accepted_of, finite, score_json
 from labhil.report.text import small
 
@@ -59,6 +59,7 @@ def verify_study(
             f"found one of {accepted.rig}"
         )
     record = record_of(recording, rig.kind)
+    refuse_holes(path, record)
     if len(record) < 2 * FEWEST_SAMPLES:
         raise RecordingError(
             f"{path}: too short to verify: {len(record)} samples, at least {2 * FEWEST_SAMPLES} are needed"

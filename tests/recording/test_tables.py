@@ -320,9 +320,16 @@ def test_a_table_that_cannot_be_read_is_refused_in_words(tmp_path, case):
 @pytest.mark.parametrize(
     ("content", "found"),
     [
-        (b"\x89MCAP0\r\n...", "needs no import"),
-        (b"PAR1....", "Parquet"),
-        (b"PK\x03\x04....", "XLSX"),
+        (b"\x89MCAP0\r\n...", "an MCAP file without channels"),
+        (b"PAR1....", "expected a Parquet file, found one that cannot be read"),
+        (b"PK\x03\x04....", "XLSX.*cut or damaged"),
+        (b"\x89HDF....", "expected an HDF5 file, found one that cannot be read"),
+        (b"MATLAB 7.3 MAT-file, cut", "expected an HDF5 file"),
+        (b"SQLite format 3\x00", "to end in .db3"),
+        (b"\xd0\xcf\x11\xe0....", "save it as .xlsx"),
+        (b"\x1f\x8b\x08....", "unpack it first"),
+        (b"#ROSBAG V2.0", "rosbags-convert"),
+        (b"ARROW1..", "save it as Parquet"),
         (b"\x7fELF\x00\x00", "a binary file"),
         (b"MATLAB 5.0 MAT-file, cut", "MAT file"),
     ],
@@ -425,13 +432,13 @@ def test_what_is_exported_is_imported_as_it_was(tmp_path):
 
 def test_exports_that_cannot_be_are_refused_in_words(tmp_path):
     recording = read_recording(write_import(imported(tmp_path, PLAIN), tmp_path / "rec.mcap"))
-    with pytest.raises(UsageError, match=r"expected an extension \.csv, found '\.xls'"):
+    with pytest.raises(UsageError, match=r"expected an extension \.csv, .*, found '\.xls'"):
         export(recording, tmp_path / "out.xls")
     with pytest.raises(UsageError, match="cannot be written"):
         export_csv(recording, tmp_path / "nowhere" / "out.csv")
     with RecordingWriter(tmp_path / "empty.mcap") as writer:
         writer.metadata("nothing", {})
-    with pytest.raises(RecordingError, match="expected one stream to export, found none with samples"):
+    with pytest.raises(RecordingError, match="expected one stream to export, found no streams at all"):
         export(read_recording(tmp_path / "empty.mcap"), tmp_path / "out.csv")
 
 

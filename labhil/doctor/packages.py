@@ -1,0 +1,101 @@
+"""Python, and what is installed against what is declared."""
+
+from __future__ import annotations
+
+import platform
+import re
+import sys
+from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError, distribution, requires, version
+
+from labhil.doctor.finding import Finding, State, broken, fine, note
+
+DISTRIBUTION = "labhil"
+OLDEST_PYTHON = (3, 11)
+
+_REQUIREMENT = re.compile(r"\s*([A-Za-z0-9._-]+)\s*(?:\[[^]]*\])?\s*([^;]*)(?:;\s*(.*))?")
+_EXTRA = re.compile(r"extra\s*==\s*['\"]([^'\"]+)['\"]")
+_BOUND = re.compile(r"(>=|==|>|<=|<|!=|~=)\s*([0-9][0-9A-Za-z.]*)")
+
+
+def check_python() -> Iterator[Finding]:
+    """Which Python runs, and whether it is new enough."""
+    found = f"{platform.python_implementation()} {platform.python_version()} at {sys.executable}"
+    wanted = ".".join(map(str, OLDEST_PYTHON))
+    if sys.version_info < OLDEST_PYTHON:
+        yield broken("python", f"{found}, expected {wanted} or newer", f"install Python {wanted} or newer")
+    else:
+        yield fine("python", f"{found} on {platform.platform()}")
+
+
+def check_packages() -> Iterator[Finding]:
+    """Each declared package: installed, and of a version that was declared; extras by their names."""
+    try:
+        declared = requires(DISTRIBUTION) or []
+    except PackageNotFoundError:
+        yield broken(
+            "labhil",
+            "runs from source without being installed: its drivers, twins and versions are not registered",
+            "pip install .",
+        )
+        return
+    yield fine("labhil", f"{version(DISTRIBUTION)} at {distribution(DISTRIBUTION).locate_file('')}")
+    needed: list[Finding] = []
+    extras: dict[str, list[Finding]] = {}
+    for requirement in declared:
+        finding, extra = checked(requirement)
+        (extras.setdefault(extra, []) if extra else needed).append(finding)
+    yield from (finding for finding in needed if finding.state is State.BROKEN)
+    good = [f"{finding.subject} {finding.found}" for finding in needed if finding.state is State.FINE]
+    yield fine("packages", f"{len(good)} as declared: {', '.join(good)}")
+    extras.pop("test", None)
+    for extra, findings in sorted(extras.items()):
+        missing = [finding for finding in findings if finding.state is not State.FINE]
+        if missing:
+            found = ", ".join(f"{finding.subject} {finding.found}" for finding in missing)
+            yield note(f"extra {extra}", found, f"pip install 'labhil[{extra}]'")
+        else:
+            names = ", ".join(f"{finding.subject} {finding.found}" for finding in findings)
+            yield fine(f"extra {extra}", names)
+
+
+def checked(requirement: str) -> tuple[Finding, str]:
+    """The finding on one declared requirement, and the extra that it belongs to ("" for none)."""
+    matched = _REQUIREMENT.match(requirement)
+    assert matched is not None, requirement
+    name, bounds, marker = matched.group(1), matched.group(2).strip(), matched.group(3) or ""
+    extra = _EXTRA.search(marker)
+    try:
+        installed = version(name)
+    except PackageNotFoundError:
+        finding = broken(
+            name, f"is not installed (expected {bounds or 'any version'})", f"pip install '{name}{bounds}'"
+        )
+        return finding, extra.group(1) if extra else ""
+    unmet = [f"{sign}{bound}" for sign, bound in _BOUND.findall(bounds) if not _meets(installed, sign, bound)]
+    if unmet:
+        finding = broken(name, f"{installed}, expected {','.join(unmet)}", f"pip install '{name}{bounds}'")
+    else:
+        finding = fine(name, installed)
+    return finding, extra.group(1) if extra else ""
+
+
+def _meets(installed: str, sign: str, bound: str) -> bool:
+    have, want = _numbers(installed), _numbers(bound)
+    length = max(len(have), len(want))
+    have, want = have + (0,) * (length - len(have)), want + (0,) * (length - len(want))
+    return {
+        ">=": have >= want,
+        "~=": have >= want,
+        ">": have > want,
+        "<=": have <= want,
+        "<": have < want,
+        "==": have == want,
+        "!=": have != want,
+    }[sign]
+
+
+def _numbers(text: str) -> tuple[int, ...]:
+    """The release numbers of a version: 1.10.0rc1 is (1, 10, 0)."""
+    leading = re.match(r"[0-9]+(?:\.[0-9]+)*", text)
+    return tuple(int(part) for part in leading.group().split(".")) if leading else (0,)

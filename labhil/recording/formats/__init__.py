@@ -1,0 +1,1 @@
+"""The file formats of others, one room each: their tables as columns, our recordings as their files."""

@@ -1,0 +1,105 @@
+"""What a table is, whatever file it stood in."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, time, timedelta
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labhil.errors import MissingExtraError
+from labhil.signals import FloatArray, Hold, IntArray
+
+
+@dataclass(frozen=True)
+class Columns(ABC):
+    """A table of others: ``names`` of its columns (None without a header) and how many there are.
+
+    ``lines`` (rows,) says where each row stands, for messages; ``counts`` (rows,) how many fields it has.
+    """
+
+    names: tuple[str, ...] | None
+    width: int
+    lines: IntArray
+    counts: IntArray
+
+    row_word = "row"
+    """What a row is called in messages."""
+
+    @property
+    def complete(self) -> NDArray[np.bool_]:
+        """Which rows have the right number of fields, shape (rows,)."""
+        complete: NDArray[np.bool_] = self.counts == self.width
+        return complete
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a person should know of how the rows came to be, a line each."""
+        return ()
+
+    def find(self, source: str) -> tuple[int, ...]:
+        """The numbers of the columns that bear this name: none, one or several."""
+        return tuple(place for place, name in enumerate(self.names or ()) if name == source)
+
+    @abstractmethod
+    def numbers(self, column: int, hold: Hold = Hold.LINEAR) -> FloatArray:
+        """The values of a column, shape (rows,); NaN where there is no number.
+
+        ``hold`` says what the signal does between its samples, where they do not come with the rows.
+        """
+
+    @abstractmethod
+    def text(self, column: int, row: int) -> str:
+        """What stands there, for messages."""
+
+
+@dataclass(frozen=True)
+class NumberColumns(Columns):
+    """Columns that are numbers in the file already: ``values`` holds one array of shape (rows,) for each."""
+
+    values: Sequence[FloatArray]
+
+    def numbers(self, column: int, hold: Hold = Hold.LINEAR) -> FloatArray:
+        """The values of a column, shape (rows,); NaN where there is no number."""
+        return self.values[column]
+
+    def text(self, column: int, row: int) -> str:
+        """What stands there, for messages."""
+        return f"{self.values[column][row]}"
+
+
+def number_columns(names: Sequence[str], values: Sequence[FloatArray]) -> NumberColumns:
+    """A table with a name and an array of shape (rows,) for each column."""
+    rows = len(values[0])
+    counts = np.full(rows, len(names))
+    return NumberColumns(tuple(names), len(names), np.arange(1, rows + 1), counts, values)
+
+
+def number_of(cell: Any, decimal: str = ".") -> float:
+    """The number that a cell means: NaN for what is none; a date in s of Unix time, a duration in s."""
+    if isinstance(cell, (int, float)):
+        return float(cell)
+    if isinstance(cell, datetime):  # without a zone it is taken for UTC, which has no hour twice
+        return (cell if cell.tzinfo else cell.replace(tzinfo=UTC)).timestamp()
+    if isinstance(cell, timedelta):
+        return cell.total_seconds()
+    if isinstance(cell, time):
+        return 3600.0 * cell.hour + 60.0 * cell.minute + cell.second + 1e-6 * cell.microsecond
+    try:
+        return float(str(cell).replace(decimal, "."))
+    except ValueError:
+        return math.nan
+
+
+def the_package(module: str, package: str, purpose: str) -> Any:
+    """Import what an optional package brings; MissingExtraError says which extra installs it."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise MissingExtraError(package, "formats", purpose) from error

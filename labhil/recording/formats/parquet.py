@@ -1,0 +1,74 @@
+"""Parquet files, by pyarrow."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from labhil.errors import TableError
+from labhil.recording.formats.columns import NumberColumns, number_columns, number_of, the_package
+from labhil.signals import FloatArray, Stream
+
+
+def read_parquet(path: Path) -> NumberColumns:
+    """Read a Parquet file; a column of lists of one length becomes several (``name_0`` …).
+
+    Nulls and text are NaN; times are in s (Unix time), durations in s. TableError when it cannot be read.
+    """
+    arrow = the_package("pyarrow", "pyarrow", f"{path}: a Parquet file")
+    parquet = the_package("pyarrow.parquet", "pyarrow", f"{path}: a Parquet file")
+    try:
+        table = parquet.ParquetFile(path).read()
+    except (arrow.ArrowException, OSError, ValueError) as error:
+        raise TableError(
+            f"{path}: expected a Parquet file, found one that cannot be read: {error}"
+        ) from error
+    names: list[str] = []
+    columns: list[FloatArray] = []
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        for suffix, values in _numbers(arrow, column):
+            names.append(f"{name}{suffix}")
+            columns.append(values)
+    if not names or not len(columns[0]):
+        raise TableError(f"{path}: expected columns with rows, found {len(names)} columns and no rows")
+    return number_columns(names, columns)
+
+
+def write_parquet(stream: Stream, t: FloatArray, values: FloatArray, out: Path) -> None:
+    """Write the columns ``t`` and the signals', with units in the fields' metadata."""
+    purpose = f"{out}: writing a Parquet file"
+    arrow = the_package("pyarrow", "pyarrow", purpose)
+    parquet = the_package("pyarrow.parquet", "pyarrow", purpose)
+    units = ["s", *(signal.unit for signal in stream.signals for _ in signal.columns())]
+    fields = [
+        arrow.field(name, arrow.float64(), metadata={"unit": unit})
+        for name, unit in zip(("t", *stream.columns()), units, strict=True)
+    ]
+    columns = [arrow.array(column) for column in (t, *values.T)]
+    parquet.write_table(arrow.table(columns, schema=arrow.schema(fields)), out)
+
+
+def _numbers(arrow: Any, column: Any) -> list[tuple[str, FloatArray]]:
+    """The numbers of a column, with what is added to its name: nothing, or ``_0`` … for lists."""
+    kind = column.type
+    types = arrow.types
+    if types.is_fixed_size_list(kind) or types.is_list(kind) or types.is_large_list(kind):
+        rows = column.to_pylist()
+        width = max((len(row) for row in rows if row is not None), default=0)
+        values = np.full((len(rows), width), np.nan)
+        for place, row in enumerate(rows):
+            if row is not None and len(row) == width:
+                values[place] = [number_of(item) for item in row]
+        return [(f"_{number}", values[:, number]) for number in range(width)]
+    if types.is_timestamp(kind) or types.is_duration(kind):
+        per_second = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[kind.unit]
+        return [("", _floats(column.cast(arrow.int64()).to_pylist()) / per_second)]
+    if types.is_integer(kind) or types.is_floating(kind) or types.is_boolean(kind):
+        return [("", _floats(column.cast(arrow.float64(), safe=False).to_pylist()))]
+    return [("", np.array([number_of(item) for item in column.to_pylist()], dtype=np.float64))]
+
+
+def _floats(items: list[Any]) -> FloatArray:
+    return np.array([np.nan if item is None else item for item in items], dtype=np.float64)

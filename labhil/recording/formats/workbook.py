@@ -1,0 +1,121 @@
+"""Workbooks (XLSX), by openpyxl."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from labhil.errors import TableError, UsageError, suggestion
+from labhil.recording.formats.columns import Columns, number_of, the_package
+from labhil.rig import Table
+from labhil.signals import FloatArray, Hold, Stream
+
+LARGEST_SHEET = 1_048_575
+"""Rows below the header that a sheet can hold."""
+
+
+@dataclass(frozen=True)
+class SheetColumns(Columns):
+    """Columns of a sheet; cells stay as they are until a column is asked for."""
+
+    rows: Sequence[Sequence[Any]]
+    decimal: str
+
+    def numbers(self, column: int, hold: Hold = Hold.LINEAR) -> FloatArray:
+        """The values of a column, shape (rows,); NaN where there is no number."""
+        cells = (row[column] if column < len(row) else None for row in self.rows)
+        return np.array([number_of(cell, self.decimal) for cell in cells], dtype=np.float64)
+
+    def text(self, column: int, row: int) -> str:
+        """What stands there, for messages."""
+        cells = self.rows[row]
+        found = cells[column] if column < len(cells) else None
+        return "an empty cell" if found is None else repr(found)
+
+
+def read_workbook(path: Path, table: Table, wanted: Sequence[str]) -> SheetColumns:
+    """Read one sheet of a workbook: the one that ``[table] sheet`` names, or the first.
+
+    Formulas count with the value that was calculated last. TableError when there is no such sheet.
+    """
+    openpyxl = the_package("openpyxl", "openpyxl", f"{path}: a workbook (XLSX)")
+    try:
+        with closing(openpyxl.load_workbook(path, read_only=True, data_only=True)) as book:
+            cells = _cells(path, book, table)
+    except TableError:
+        raise
+    except Exception as error:  # zipfile, the XML parser and openpyxl each raise their own
+        raise TableError(
+            f"{path}: expected a workbook (XLSX), found one that cannot be read: {error!r}"
+        ) from error
+    if not cells:
+        raise TableError(f"{path}: expected a table, found no rows (after skip_rows = {table.skip_rows})")
+    names = None
+    if _has_header(cells[0][1], table, wanted):
+        names = tuple("" if cell is None else str(cell).strip() for cell in cells[0][1])
+        cells = cells[1:]
+    if not cells:
+        raise TableError(f"{path}: expected rows below the header, found no rows below it")
+    filled = np.array([len(row) for _, row in cells], dtype=np.int64)
+    width = len(names) if names is not None else int(np.bincount(filled).argmax())
+    lines = np.array([number for number, _ in cells], dtype=np.int64)
+    # empty cells at the end are not stored: too few of them are empty fields, too many are too many
+    counts = np.maximum(filled, width)
+    return SheetColumns(names, width, lines, counts, [row for _, row in cells], table.decimal)
+
+
+def write_workbook(stream: Stream, t: FloatArray, values: FloatArray, out: Path) -> None:
+    """Write one sheet named after the stream: a header, then ``t`` and the signals; empty where not finite.
+
+    Numbers have 16 significant digits, one less than a double needs to come back to the last bit.
+    """
+    openpyxl = the_package("openpyxl", "openpyxl", f"{out}: writing a workbook (XLSX)")
+    if len(t) > LARGEST_SHEET:
+        raise UsageError(
+            f"{out}: expected at most {LARGEST_SHEET} samples for one sheet, found {len(t)}; "
+            "a .parquet or .csv file holds them all"
+        )
+    book = openpyxl.Workbook(write_only=True)
+    sheet = book.create_sheet(stream.name[:31])
+    sheet.append(["t", *stream.columns()])
+    for row in np.column_stack([t, values]).tolist():
+        sheet.append([cell if math.isfinite(cell) else None for cell in row])
+    packed = BytesIO()
+    book.save(packed)
+    out.write_bytes(packed.getvalue())
+
+
+def _cells(path: Path, book: Any, table: Table) -> list[tuple[int, list[Any]]]:
+    """Rows with their numbers from 1, without skipped, blank and comment rows and empty cells at the end."""
+    names = book.sheetnames
+    if table.sheet is not None and table.sheet not in names:
+        near = suggestion(table.sheet, names)
+        raise TableError(f"{path}: expected a sheet {table.sheet!r}{near}, found {', '.join(names)}")
+    sheet = book[names[0] if table.sheet is None else table.sheet]
+    if not hasattr(sheet, "iter_rows"):
+        raise TableError(f"{path}: sheet {sheet.title!r}: expected cells, found a chart")
+    found = []
+    for number, row in enumerate(sheet.iter_rows(values_only=True), start=1):
+        cells = [None if isinstance(cell, str) and not cell.strip() else cell for cell in row]
+        while cells and cells[-1] is None:
+            cells.pop()
+        commented = table.comment and cells and str(cells[0]).startswith(table.comment)
+        if number > table.skip_rows and cells and not commented:
+            found.append((number, cells))
+    return found
+
+
+def _has_header(cells: Sequence[Any], table: Table, wanted: Sequence[str]) -> bool:
+    if table.header is not None:
+        return table.header
+    texts = {str(cell).strip() for cell in cells if cell is not None}
+    if not texts.isdisjoint(wanted):
+        return True
+    return all(math.isnan(number_of(cell, table.decimal)) for cell in cells)

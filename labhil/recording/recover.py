@@ -1,0 +1,375 @@
+"""A good recording out of a broken one: every whole message, what was lost in words, nothing overwritten."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from mcap.reader import make_reader
+from mcap.records import Attachment, Channel, Metadata
+from mcap.records import Message as StoredMessage
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, Writer
+
+from labhil import __version__
+from labhil.errors import RecordingError, RecordingFailedError
+from labhil.recording.chunks import is_mcap, scan
+from labhil.recording.salvage import Loss, Message, Salvage, salvage
+from labhil.recording.writer import CHUNK_SIZE
+
+METADATA = "recover"
+MOST_SPANS = 5
+"""Spans of lost samples that are told of one stream, the longest first."""
+
+UNFINISHED = ".saving"
+"""Added to the name until what was written has been looked at; ``.part`` is a recorder's."""
+
+LARGEST_RECORD = 1 << 32
+SEQUENCE_WRAPS = 1 << 32
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """``missing`` numbers are not there between two messages; times in s from the first message saved."""
+
+    start: float
+    end: float
+    missing: int
+
+
+@dataclass(frozen=True, slots=True)
+class StreamRecovery:
+    """What became of one channel.
+
+    ``expected`` is how many messages the broken file says it held, None where it does not say;
+    ``indexed`` how many were in damaged chunks, by their index; ``spans`` where numbers are missing.
+    """
+
+    topic: str
+    saved: int
+    expected: int | None
+    indexed: int
+    start: float
+    end: float
+    spans: tuple[Span, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Recovery:
+    """What was saved and what was lost; ``nameless`` messages belong to channels nobody describes."""
+
+    source: Path
+    sha256: str
+    path: Path
+    size: int
+    chunks: int
+    streams: tuple[StreamRecovery, ...]
+    attachments: tuple[str, ...]
+    metadata: tuple[str, ...]
+    losses: tuple[Loss, ...]
+    nameless: int
+    doubtful: int
+    ended: bool
+
+    @property
+    def bytes_lost(self) -> int:
+        """Bytes of the broken file of which nothing could be used, or not all."""
+        return sum(loss.end - loss.start for loss in self.losses)
+
+    @property
+    def saved(self) -> int:
+        """All messages saved."""
+        return sum(stream.saved for stream in self.streams)
+
+    def lines(self) -> list[str]:
+        """What a person wants to know, a line each."""
+        hit = sum(loss.chunk for loss in self.losses)
+        lines = [
+            f"{self.source}: {self.size} bytes; saved {self.saved} messages of {self.chunks} whole chunks, "
+            f"{len(self.attachments)} attachments, {len(self.metadata)} metadata records"
+        ]
+        lines += [
+            f"lost: bytes {loss.start} to {loss.end} ({loss.end - loss.start}): {loss.what}{_indexed(loss)}"
+            for loss in self.losses
+        ]
+        if self.losses:
+            lines.append(f"lost altogether: {self.bytes_lost} bytes, {hit} chunks hit")
+        if not self.ended:
+            lines.append("the file had no end (footer): its recorder was killed, or it is cut")
+        if self.nameless:
+            lines.append(f"lost: {self.nameless} messages of channels that nothing in the file describes")
+        if self.doubtful:
+            lines.append(
+                f"doubtful: {self.doubtful} messages come from chunks whose checksum is wrong; "
+                "their values may be wrong"
+            )
+        lines += [line for stream in self.streams for line in _stream_lines(stream)]
+        if not self.losses and self.ended:
+            lines.append("nothing was lost")
+        return lines
+
+    def to_json(self) -> dict[str, Any]:
+        """Return everything as plain JSON data."""
+        return {
+            "schema": "labhil.recover/1",
+            "source": str(self.source),
+            "sha256": self.sha256,
+            "path": str(self.path),
+            "bytes": self.size,
+            "bytes_lost": self.bytes_lost,
+            "chunks_saved": self.chunks,
+            "chunks_lost": sum(loss.chunk for loss in self.losses),
+            "had_an_end": self.ended,
+            "messages_saved": self.saved,
+            "messages_without_channel": self.nameless,
+            "messages_doubtful": self.doubtful,
+            "attachments": list(self.attachments),
+            "metadata": list(self.metadata),
+            "losses": [
+                {
+                    "start": loss.start,
+                    "end": loss.end,
+                    "what": loss.what,
+                    "messages": sum(loss.messages.values()),
+                }
+                for loss in self.losses
+            ],
+            "streams": [
+                {
+                    "topic": stream.topic,
+                    "saved": stream.saved,
+                    "expected": stream.expected,
+                    "start": stream.start,
+                    "end": stream.end,
+                    "missing": [[span.start, span.end, span.missing] for span in stream.spans],
+                }
+                for stream in self.streams
+            ],
+        }
+
+
+def recover(source: Path, out: Path, *, keep_doubtful: bool = False) -> Recovery:
+    """Save every whole message of a broken MCAP file into a new one, and read that back.
+
+    Metadata and attachments go with it, and the metadata ``recover`` tells what was lost. RecordingError
+    when there is no such file, when it is no MCAP file or holds no whole message, or when ``out`` exists;
+    RecordingFailedError when ``out`` cannot be written, or is not what was meant to be written.
+    """
+    data = _bytes_of(source)
+    if out.exists():
+        raise RecordingError(f"{out}: expected a new file, found one that exists; nothing was written")
+    found = salvage(data, keep_doubtful=keep_doubtful)
+    if not is_mcap(data) and not found.chunks:
+        raise RecordingError(
+            f"{source}: expected an MCAP recording, found a file that begins with {data[:8]!r} and holds no "
+            "whole chunk of one; nothing was written"
+        )
+    known = [message for message in found.messages if message.channel in found.channels]
+    if not known:
+        raise RecordingError(
+            f"{source}: expected messages to save, found none that is whole in {len(data)} bytes; "
+            "nothing was written"
+        )
+    result = _account(source, data, out, found, known)
+    _write(found, known, result, out)
+    return result
+
+
+def _bytes_of(source: Path) -> bytes:
+    try:
+        data = source.read_bytes()
+    except OSError as error:
+        raise RecordingError(f"{source}: cannot be read: {error.strerror}") from error
+    if not data:
+        raise RecordingError(f"{source}: expected an MCAP recording, found an empty file")
+    return data
+
+
+def _account(source: Path, data: bytes, out: Path, found: Salvage, known: Sequence[Message]) -> Recovery:
+    by_channel: defaultdict[int, list[Message]] = defaultdict(list)
+    for message in known:
+        by_channel[message.channel].append(message)
+    origin = min(message.log_time for message in known)
+    told = found.statistics.channel_message_counts if found.statistics is not None else {}
+    indexed: Counter[int] = Counter()
+    for loss in found.losses:
+        indexed.update(loss.messages)
+    streams = []
+    for number, channel in found.channels.items():
+        messages = by_channel[number]
+        times = [(message.log_time - origin) * 1e-9 for message in messages]
+        streams.append(
+            StreamRecovery(
+                topic=channel.topic,
+                saved=len(messages),
+                expected=told.get(number, 0) if told else None,
+                indexed=indexed[number],
+                start=min(times, default=0.0),
+                end=max(times, default=0.0),
+                spans=tuple(_spans(messages, origin)),
+            )
+        )
+    return Recovery(
+        source=source,
+        sha256=hashlib.sha256(data).hexdigest(),
+        path=out,
+        size=len(data),
+        chunks=found.chunks,
+        streams=tuple(streams),
+        attachments=tuple(attachment.name for attachment in found.attachments),
+        metadata=tuple(metadata.name for metadata in found.metadata),
+        losses=tuple(found.losses),
+        nameless=len(found.messages) - len(known),
+        doubtful=found.doubtful,
+        ended=found.ended,
+    )
+
+
+def _spans(messages: Sequence[Message], origin: int) -> Iterator[Span]:
+    """Where numbers are missing in the sequence of a channel that counts its messages."""
+    for before, after in pairwise(messages):
+        missing = (after.sequence - before.sequence) % SEQUENCE_WRAPS - 1
+        if 0 < missing < SEQUENCE_WRAPS // 2 and after.log_time > before.log_time:
+            yield Span((before.log_time - origin) * 1e-9, (after.log_time - origin) * 1e-9, missing)
+
+
+def _indexed(loss: Loss) -> str:
+    count = sum(loss.messages.values())
+    return f"; its index names {count} messages" if count else ""
+
+
+def _stream_lines(stream: StreamRecovery) -> Iterator[str]:
+    line = f"{stream.topic}: {stream.saved} messages saved"
+    if stream.saved:
+        line += f", {stream.start:.3f} to {stream.end:.3f} s"
+    if stream.expected is not None and stream.expected != stream.saved:
+        line += f"; {stream.expected - stream.saved} of {stream.expected} lost"
+    elif stream.indexed:
+        line += f"; {stream.indexed} lost with damaged chunks"
+    yield line
+    longest = sorted(stream.spans, key=lambda span: span.missing, reverse=True)
+    for span in sorted(longest[:MOST_SPANS], key=lambda span: span.start):
+        yield f"  {span.missing} missing between {span.start:.3f} and {span.end:.3f} s"
+    if len(longest) > MOST_SPANS:
+        rest = sum(span.missing for span in longest[MOST_SPANS:])
+        yield f"  {rest} more missing in {len(longest) - MOST_SPANS} shorter gaps"
+
+
+def _write(found: Salvage, known: Sequence[Message], result: Recovery, out: Path) -> None:
+    """Write beside ``out``, look at it, and only then give it its name."""
+    part = out.with_name(f"{out.name}{UNFINISHED}")
+    try:
+        with part.open("xb") as file:
+            _fill(Writer(file, chunk_size=CHUNK_SIZE, compression=CompressionType.LZ4), found, known, result)
+            file.flush()
+            os.fsync(file.fileno())
+    except FileExistsError as error:
+        raise RecordingError(
+            f"{part}: expected no file of this name, found one; move it away first"
+        ) from error
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise RecordingFailedError(f"{out}: could not be written: {error}") from error
+    try:
+        _verify(part, found, known)
+        os.link(part, out)  # unlike a renaming, refuses a file that has come up there meanwhile
+    except FileExistsError as error:
+        raise RecordingError(f"{out}: expected a new file, found one that exists") from error
+    except OSError as error:
+        raise RecordingFailedError(f"{out}: could not be written: {error}") from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _fill(writer: Writer, found: Salvage, known: Sequence[Message], result: Recovery) -> None:
+    writer.start(profile=found.profile, library=f"labhil {__version__}")
+    schemas = {0: 0}
+    numbers: dict[int, int] = {}
+    for number, channel in found.channels.items():
+        schema = found.schemas.get(channel.schema_id)
+        if schema is not None and schema.id not in schemas:
+            schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
+        numbers[number] = writer.register_channel(
+            channel.topic, channel.message_encoding, schemas.get(channel.schema_id, 0), channel.metadata
+        )
+    for attachment in found.attachments:
+        writer.add_attachment(
+            attachment.create_time,
+            attachment.log_time,
+            attachment.name,
+            attachment.media_type,
+            attachment.data,
+        )
+    for metadata in found.metadata:
+        writer.add_metadata(metadata.name, metadata.metadata)
+    told = {
+        "source": result.source.name,
+        "sha256": result.sha256,
+        "lost": "\n".join(result.lines()[1:]),
+        "bytes_lost": str(result.bytes_lost),
+        "messages_doubtful": str(result.doubtful),
+    }
+    writer.add_metadata(METADATA, told)
+    for message in known:
+        writer.add_message(
+            numbers[message.channel], message.log_time, message.data, message.publish_time, message.sequence
+        )
+    writer.finish()
+
+
+def _verify(path: Path, found: Salvage, known: Sequence[Message]) -> None:
+    """Read the new file with mcap's own readers; RecordingFailedError unless all that was saved is there."""
+    topics: dict[int, str] = {}
+    attachments: list[Attachment] = []
+    metadata: list[Metadata] = []
+    compared = 0
+    try:
+        with path.open("rb") as file:
+            for record in StreamReader(file, validate_crcs=True, record_size_limit=LARGEST_RECORD).records:
+                if isinstance(record, Channel):
+                    topics[record.id] = record.topic
+                elif isinstance(record, StoredMessage):
+                    _compare(path, record, known[compared], topics, found.channels)
+                    compared += 1
+                elif isinstance(record, Attachment):
+                    attachments.append(record)
+                elif isinstance(record, Metadata):
+                    metadata.append(record)
+            file.seek(0)
+            summary = make_reader(file).get_summary()
+    except Exception as error:
+        if isinstance(error, RecordingFailedError):
+            raise
+        raise RecordingFailedError(f"{path}: what was written cannot be read back: {error!r}") from error
+    statistics = None if summary is None else summary.statistics
+    counted = 0 if statistics is None else statistics.message_count
+    found_rest = (attachments, metadata[:-1]) == (found.attachments, found.metadata)
+    if (compared, counted) != (len(known), len(known)) or not found_rest or scan(path.read_bytes()).damage:
+        raise RecordingFailedError(
+            f"{path}: expected {len(known)} messages, the attachments and the metadata back, found "
+            f"{compared} messages ({counted} by its own statistics), {len(attachments)} attachments and "
+            f"{len(metadata)} metadata records"
+        )
+
+
+def _compare(
+    path: Path,
+    read: StoredMessage,
+    meant: Message,
+    topics: Mapping[int, str],
+    channels: Mapping[int, Channel],
+) -> None:
+    same = (
+        topics[read.channel_id] == channels[meant.channel].topic
+        and (read.log_time, read.publish_time) == (meant.log_time, meant.publish_time)
+        and read.sequence == meant.sequence
+        and read.data == meant.data
+    )
+    if not same:
+        raise RecordingFailedError(f"{path}: a message that was read back is not the one that was written")
