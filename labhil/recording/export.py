@@ -55,7 +55,7 @@ def exported_stream(recording: Recording, name: str | None = None) -> StreamData
         return next(iter(chosen.values()))
     nothing = "found none with samples" if recording.streams else f"found {recording.no_streams()}"
     found = (
-        f"found {', '.join(chosen)}; choose one with --stream, or a device with --device"
+        f"found {', '.join(chosen)}; choose with --stream or --device"
         if chosen
         else nothing
     )
