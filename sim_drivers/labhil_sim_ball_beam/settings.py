@@ -54,6 +54,10 @@ class TwinSettings:
         """Check the options; UsageError or UnknownNameError names what is wrong."""
         if options.wire not in WIRES:
             raise UnknownNameError("wire", options.wire, WIRES)
+        if options.host is not None or options.series is not None:
+            raise UsageError(
+                "the twin of a ball_beam is no networked device: it takes neither host nor series"
+            )
         if not 0.0 < options.speed <= 100.0:
             raise UsageError(f"speed must be above 0 and at most 100, found {options.speed:g}")
         given = dict(options.parameters)

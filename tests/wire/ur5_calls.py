@@ -245,7 +245,7 @@ def path_of_lines_with_progress() -> None:
     corner, end = list(start), list(start)
     corner[2] += 0.05
     end[1], end[2] = end[1] + 0.05, end[2] + 0.05
-    assert robot.control.moveL([[*corner, 0.25, 1.0, 0.01], [*end, 0.25, 1.0, 0.0]], True)
+    assert robot.control.moveL([[*corner, 0.06, 1.0, 0.01], [*end, 0.06, 1.0, 0.0]], True)
     seen = set()
     while robot.control.getAsyncOperationProgressEx().isAsyncOperationRunning() or not seen:
         seen.add(robot.control.getAsyncOperationProgress())

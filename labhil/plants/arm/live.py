@@ -96,10 +96,13 @@ class LiveArm:
         self._sensors, self._world = Sensors.of(values, noise), world
         self._bandwidth = values.number("servo_bandwidth")
         self._late = values.number("clock_offset.offset")
+        six = values.six
         self._extra = Extra(
-            *(values.six(f"torque_ripple.{name}") for name in ("amplitude", "order", "phase")),
-            values.six("added_inertia.inertia"),
-            values.six("constant_force.force"),
+            six("torque_ripple.amplitude"),
+            six("torque_ripple.order"),
+            six("torque_ripple.phase"),
+            six("added_inertia.inertia"),
+            six("constant_force.force"),
         )
         self._state = State(*(np.zeros(JOINTS) for _ in State._fields))
         self._temperature = values.six("start_temperature").copy()
