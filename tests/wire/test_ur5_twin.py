@@ -8,13 +8,17 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import psutil
 import pytest
 
+from labhil.driver import TwinOptions
+from labhil.errors import UsageError
 from labhil.service.child import Child
 from labhil_sim_ur5.codec import Command
+from labhil_sim_ur5.settings import TwinSettings
 
 sys.path.insert(0, str(Path(__file__).parent))
 from ur5_process import RawClient, address, call, running_twin
@@ -75,25 +79,18 @@ def test_a_second_twin_at_the_same_address_says_what_to_do(twin: tuple[str, Chil
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("options", "said"),
     [
-        (("--series", "5.3.1"), "5.4.0"),
-        (("--set", "fault.drop_att=1"), "fault.drop_at"),
-        (("--speed", "2"), "real time"),
+        ({"series": "5.3.1"}, "5.4.0"),
+        ({"parameters": {"fault.drop_att": 1.0}}, "fault.drop_at"),
+        ({"parameters": {"home[3]": 9.0}}, "home must lie"),
+        ({"parameters": {"fault.stall_at": -1.0}}, "fault.stall_at"),
+        ({"speed": 2.0}, "real time"),
     ],
 )
-def test_wrong_options_are_named(arguments: tuple[str, ...], said: str) -> None:
-    from labhil.driver import TwinOptions
-    from labhil.errors import UsageError
-    from labhil_sim_ur5.settings import TwinSettings
-
-    name, value = arguments
-    given = {"--series": {"series": value}, "--speed": {"speed": float(value[0])}, "--set": {}}[name]
-    if name == "--set":
-        key, _, number = value.partition("=")
-        given = {"parameters": {key: float(number)}}
+def test_wrong_options_are_named(options: dict[str, Any], said: str) -> None:
     with pytest.raises(UsageError, match=said):
-        TwinSettings.of(TwinOptions(**given))
+        TwinSettings.of(TwinOptions(**options))
 
 
 def test_the_import_brings_nothing_else() -> None:
