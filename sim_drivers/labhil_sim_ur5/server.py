@@ -23,8 +23,9 @@ from labhil_sim_ur5.script import parse
 RTDE_PORT, SCRIPT_PORT, DASHBOARD_PORT = 30004, 30003, 29999
 PATIENCE = 0.5
 """How far (s) the controller may fall behind and still catch up; beyond that its world has paused."""
-TOO_LATE = 0.1
-"""How far (s) behind a tick is done, but no longer told to anybody."""
+TOO_LATE = 0.05
+"""How far (s) behind a tick is done, but told to nobody, unless nothing was told for ``SILENCE`` s."""
+SILENCE = 0.02
 LARGEST_SCRIPT = 1 << 20
 SEND_BUFFER = 1 << 16
 """Bytes that wait for a client in the kernel: about 50 packages."""
@@ -117,7 +118,7 @@ class Server:
 
     def run(self, ending: Ending, told: Callable[[str], None], each_tick: Callable[[], None]) -> None:
         """Serve; ``told`` gets lines from the side, ``each_tick`` is called before every tick."""
-        due = time.monotonic()
+        due = told_at = time.monotonic()
         while not ending.due:
             readable = self._wait(ending, due - time.monotonic())
             self._serve(readable)
@@ -133,7 +134,8 @@ class Server:
                 due += missed * self.controller.period
             each_tick()
             self.controller.tick()
-            if now - due < TOO_LATE:
+            if now - due < TOO_LATE or now - told_at > SILENCE:
+                told_at = now
                 self._send_samples()
             else:
                 self.untold += 1
