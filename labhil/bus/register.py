@@ -87,10 +87,13 @@ def registered(kind: str, name: str, endpoint: str, devices: Sequence[str]) -> I
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a file so that nobody ever reads half of it."""
+    """Write a file so that nobody ever reads half of it; BusError where that fails."""
     draft = path.with_suffix(f".{os.getpid()}.draft")
-    draft.write_text(text, encoding="utf-8")
-    draft.replace(path)
+    try:
+        draft.write_text(text, encoding="utf-8")
+        draft.replace(path)
+    except OSError as error:
+        raise BusError(f"{path}: expected to write a small file there, found {error}") from error
 
 
 def running(kind: str | None = None) -> tuple[Registered, ...]:

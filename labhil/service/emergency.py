@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from labhil.bus import latch
@@ -19,6 +19,7 @@ PATIENCE = 3.0
 """How long devices that are expected to answer are asked again, s: a bus that was just joined needs one."""
 
 ASK_EVERY = 0.1
+LATCH = "the latch"
 EVERY_HOST = command_key("*", "estop")
 
 
@@ -39,10 +40,11 @@ class Outcome:
 def press_everywhere(by: str, reason: str, connect: str | None = None) -> Outcome:
     """Stop every device on this machine, or those on the bus of ``connect``, and latch the stop.
 
-    The latch is set first: it works without the bus. BusError when no bus can be opened at all.
+    The latch is set first: it works without the bus. Where it cannot be, devices are stopped all the same,
+    and the outcome says so under ``LATCH``. BusError when no bus can be opened at all.
     """
-    latch.press(by, reason)
-    return _ask_everywhere({"action": "press", "by": by, "reason": reason}, connect)
+    trouble = _latched(by, reason)
+    return _with(trouble, _ask_everywhere({"action": "press", "by": by, "reason": reason}, connect))
 
 
 def release_everywhere(connect: str | None = None) -> Outcome:
@@ -53,8 +55,22 @@ def release_everywhere(connect: str | None = None) -> Outcome:
 
 def press_on(bus: Bus, by: str, reason: str, expected: Collection[str]) -> Outcome:
     """Stop every device on a bus that is open already; ``expected`` are those that have to answer."""
-    latch.press(by, reason)
-    return _ask_until_all_answer(bus, {"action": "press", "by": by, "reason": reason}, set(expected))
+    trouble = _latched(by, reason)
+    payload = {"action": "press", "by": by, "reason": reason}
+    return _with(trouble, _ask_until_all_answer(bus, payload, set(expected)))
+
+
+def _latched(by: str, reason: str) -> Mapping[str, str]:
+    """Set the latch; what kept us from that, if anything did."""
+    try:
+        latch.press(by, reason)
+    except (BusError, OSError) as error:
+        return {LATCH: f"hosts that start later will not know of it: {error}"}
+    return {}
+
+
+def _with(trouble: Mapping[str, str], outcome: Outcome) -> Outcome:
+    return replace(outcome, failed={**outcome.failed, **trouble})
 
 
 def _ask_everywhere(payload: Mapping[str, Any], connect: str | None) -> Outcome:

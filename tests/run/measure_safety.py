@@ -88,6 +88,11 @@ class Relay:
             time.sleep(0.002)
         return self.safe_since
 
+    def refuse_safe(self) -> None:
+        """ValueError where a machine that is too busy has made the device safe before its time."""
+        if self.safe:
+            raise ValueError("the device was safe before the fault")
+
     def _run(self) -> None:
         client: socket.socket | None = None
         twin: socket.socket | None = None
@@ -188,6 +193,7 @@ def with_a_seat(relay: Relay, fault: Fault) -> float:
     try:
         relay.wait(safe=False)
         time.sleep(random.uniform(0.2, 0.3))
+        relay.refuse_safe()
         began = time.monotonic()
         fault(seat, relay)
         return relay.wait(safe=True, after=began) - began
@@ -210,6 +216,7 @@ def with_a_run(relay: Relay, fault: Fault) -> float:
         try:
             relay.wait(safe=False)
             time.sleep(random.uniform(0.8, 1.1))
+            relay.refuse_safe()
             began = time.monotonic()
             fault((run, Path(directory)), relay)
             return relay.wait(safe=True, after=began) - began

@@ -26,7 +26,7 @@ from labhil.experiment.run import Progress, RunResult, run_experiment
 from labhil.experiment.twins import start_twin
 from labhil.recording.reader import Recording, read_recording
 from labhil.rig import Interlock, Limit, parse_rig
-from labhil.service.emergency import press_everywhere, release_everywhere
+from labhil.service.emergency import press_everywhere, press_on, release_everywhere
 from labhil.service.interlocks import Interlocks
 from labhil.service.limits import SampleLimits
 from labhil.service.messages import Setpoint
@@ -185,8 +185,8 @@ def test_a_frozen_host_is_named_and_the_others_stop(bench: Any) -> None:
         os.kill(bench.host.pid, signal.SIGCONT)
     assert outcome.silent == ("bench",)
     assert not outcome.complete
-    # what was said to it while it was frozen holds when it thaws
-    bench.wait_for_event("estop")
+    # thawed, it finds the latch by itself, and answers
+    wait_until(lambda: press_everywhere("a test", "again").complete, "the host did not come back")
     outcome = release_everywhere()
     assert outcome.complete and dict(outcome.answered) == {"bench": "idle"}
 
@@ -198,6 +198,20 @@ def test_an_emergency_stop_without_devices_says_so() -> None:
     assert "no device was found to stop" in done.stderr
     assert latch.read_latch() is not None
     assert labhil("estop", "--connect", "tcp/10.0.0.1:7447").returncode == 2
+
+
+def test_devices_stop_even_where_the_latch_cannot_be_written(bench: Any) -> None:
+    bench.take_lease()
+    bench.set(0.2)
+    blocked = latch.latch_path().with_suffix(f".{os.getpid()}.draft")
+    blocked.mkdir()
+    try:
+        outcome = press_on(bench.bus, "a test", "a full disk", ["bench"])
+    finally:
+        blocked.rmdir()
+    assert dict(outcome.answered) == {"bench": "latched"}
+    assert "expected to write" in outcome.failed["the latch"] and not outcome.complete
+    assert bench.ask("status")["applied"] == {"servo_angle": 0.0}
 
 
 # control from outside
