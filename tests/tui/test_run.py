@@ -158,7 +158,7 @@ def test_quitting_asks_while_a_run_is_on_and_ends_it_in_order(bench: Path) -> No
 
 
 @pytest.mark.extended
-@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL], ids=lambda how: how.name)
 def test_however_the_screen_ends_the_run_ends_in_order(bench: Path, how: signal.Signals) -> None:
     ours, theirs = pty.openpty()
     command = [sys.executable, "-P", "-m", "labhil", "tui", "--folder", str(bench)]
