@@ -30,7 +30,7 @@ def add_trials(app: typer.Typer) -> None:
 
 def trial_make(
     *,
-    rig: Annotated[str, typer.Option(help="A kind of rig: ball_beam, dc_motor, axis or solenoid.")],
+    rig: Annotated[str, typer.Option(help="A kind of rig: ball_beam, dc_motor, axis, solenoid or ur5.")],
     trials: Annotated[int, typer.Option(help="How many.")],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Where the recordings go.")],
     answers: Annotated[

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from labhil.campaign.trials.noise import TrueNoise
+from labhil.physics.terms import keyed
 
 SCHEMA = "labhil.answer/1"
 
@@ -28,6 +29,11 @@ class TrueEffect:
     parameters: Mapping[str, float]
     strength: float
     oracle_gain: float
+
+    @property
+    def key(self) -> str:
+        """Its name with the joint, where it is in one."""
+        return keyed(self.term, self.joint)
 
 
 @dataclass(frozen=True, slots=True)

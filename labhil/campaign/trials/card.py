@@ -37,7 +37,8 @@ class Card:
 
     ``naming`` maps the number of effects (and "outside the catalogue") and a grade of strength to the
     share of exact answers; ``detection`` maps a range of the strongest effect's strength to the share
-    detected; ``confusion`` counts pairs of true and named term. ``after_over_floor`` are median and 90th
+    detected; ``confusion`` counts pairs of true and named term; ``joints`` is the share of effects in a joint
+    that were looked for there, of those that were found at all. ``after_over_floor`` are median and 90th
     percentile of RMSE after over the noise floor, None without any.
     """
 
@@ -54,6 +55,7 @@ class Card:
     calibration_error: float | None
     modelled: Share
     overlap: Share
+    joints: Share
     after_over_floor: tuple[float, float] | None
     covered: Share
     covered_apart: Share
@@ -85,6 +87,7 @@ class Card:
             "calibration_error": self.calibration_error,
             "modelled": self.modelled.to_json(),
             "regime_overlap": self.overlap.to_json(),
+            "right_joint": self.joints.to_json(),
             "rmse_after_over_noise_floor": None
             if self.after_over_floor is None
             else {"median": self.after_over_floor[0], "percentile_90": self.after_over_floor[1]},
@@ -116,6 +119,7 @@ def count(judged: Sequence[Judged], rig: str, fixed_seed: bool) -> Card:
         calibration_error=_calibration_error(reliability),
         modelled=_share([j.modelled for j in judged if j.modelled is not None]),
         overlap=_share([overlap >= RIGHT_OVERLAP for overlap in overlaps]),
+        joints=_share([right for j in judged for right in j.joints]),
         after_over_floor=(float(np.median(ratios)), float(np.quantile(ratios, 0.9))) if ratios else None,
         covered=_share([c for j in judged if j.complete for c in j.covered]),
         covered_apart=_share([c for j in judged if not j.complete for c in j.covered]),

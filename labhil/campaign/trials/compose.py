@@ -3,30 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from labhil.campaign.trials.answer import Answer, TrueEffect
 from labhil.campaign.trials.bench import bench_of
-from labhil.campaign.trials.draw import (
-    COUNTS,
-    Drawn,
-    Secret,
-    candidates,
-    draw_base,
-    draw_conditions,
-    draw_effect,
-)
+from labhil.campaign.trials.draw import COUNTS
 from labhil.campaign.trials.noise import TrueNoise
 from labhil.campaign.trials.oracle import Oracle, Refit
+from labhil.campaign.trials.secret import Drawn, Secret, Walk
 from labhil.campaign.trials.truth import model_values
-from labhil.campaign.trials.world import Walk, loudness, record_of, simulate, truth_of
 from labhil.errors import RecordingError, RunError, UsageError
-from labhil.identify.score import score
 from labhil.physics.rigs import model_for, rig_model
-from labhil.plants.rigs import WORLDS
 from labhil.rig import parse_rig
 from labhil.signals import FloatArray
 
@@ -59,10 +49,10 @@ def compose(kind: str, sort: str, random: np.random.Generator) -> Composed:
     """Draw one trial of a sort; RunError where nothing that was drawn can be as strong as it is to be."""
     bench = bench_of(kind)
     for _ in range(DRAWS):
-        conditions = draw_conditions(bench, random)
-        bare = Secret(kind, conditions, draw_base(bench, conditions, random))
+        setup = bench.setup(random)
+        bare = Secret(setup, setup.draw_base(random))
         try:
-            noise = loudness(bare)
+            noise = setup.loudness(bare)
             effects = _effects(bare, noise, sort, random)
             return composed(replace(bare, effects=tuple(effects)), noise)
         except (UsageError, RecordingError):
@@ -72,11 +62,11 @@ def compose(kind: str, sort: str, random: np.random.Generator) -> Composed:
 
 def composed(secret: Secret, noise: TrueNoise) -> Composed:
     """Record a secret, search and test; UsageError where the plant cannot be run."""
-    bench = bench_of(secret.kind)
-    walks = simulate(secret, noise, 0), simulate(secret, noise, 1)
-    search, test = (record_of(walk, secret) for walk in walks)
-    model = model_for(parse_rig(bench.rig, Path("rig.toml")), search)
-    values = model_values(model, _all_numbers(secret))
+    setup = secret.setup
+    walks = setup.walk(secret, noise, 0), setup.walk(secret, noise, 1)
+    search, test = (setup.record(walk) for walk in walks)
+    model = model_for(parse_rig(setup.rig, Path("rig.toml")), search)
+    values = model_values(model, setup.numbers(secret))
     return Composed(secret, noise, walks, Oracle.of(model, search, test, noise, values))
 
 
@@ -89,20 +79,19 @@ def answer_of(found: Composed, name: str, recordings: dict[str, str]) -> Answer:
     without = {name: oracle.refit([term for term in full if term != name]) for name in known}
     # what is within a model can never explain less than the model; a search may miss that
     theta = min([oracle.refit(full), *without.values()], key=lambda found: found.cost).theta
-    marks = score(oracle.model, theta, oracle.test, found.noise.sigma, oracle.horizon)
-    floors = oracle.floors(theta, marks)
+    floors = oracle.floors(theta, oracle.marks(theta))
     plain = oracle.refit(baseline).theta if known else theta
     return Answer(
         trial=name,
         rig=secret.kind,
         recordings=recordings,
         baseline=tuple(baseline),
-        effects=tuple(_effect(found, drawn, without.get(drawn.term), theta) for drawn in secret.effects),
+        effects=tuple(_effect(found, drawn, without.get(drawn.key), theta) for drawn in secret.effects),
         truth=oracle.values,
         noise=found.noise,
         noise_floors=dict(zip(oracle.test.output_names, floors.tolist(), strict=True)),
         baseline_strength=oracle.strength(plain),
-        conditions=asdict(secret.conditions),
+        conditions=secret.setup.told(),
         plant=secret.parameters,
     )
 
@@ -113,14 +102,19 @@ def _effect(found: Composed, drawn: Drawn, refit: Refit | None, theta: FloatArra
     if refit is not None:
         without, best = refit.theta, oracle.log_likelihood(theta)
     else:
-        true = truth_of(found.secret, found.walks[1], 1)
-        without, best = theta, oracle.log_likelihood_of_truth(theta, true)
+        setup = found.secret.setup
+        silent = setup.record(setup.silent(found.secret, found.walks[1], 1))
+        without, best = theta, oracle.log_likelihood_of_truth(theta, silent)
     return TrueEffect(
         term=drawn.term,
-        joint=None,
+        joint=drawn.joint,
         catalogue=refit is not None,
         plant=drawn.parameters,
-        parameters={k: v for k, v in oracle.values.items() if k.partition(".")[0] == drawn.term},
+        parameters={
+            p.key: oracle.values[p.key]
+            for p in oracle.model.parameters
+            if p.term == drawn.key and p.key in oracle.values
+        },
         strength=oracle.strength(without),
         oracle_gain=best - oracle.log_likelihood(without),
     )
@@ -128,8 +122,7 @@ def _effect(found: Composed, drawn: Drawn, refit: Refit | None, theta: FloatArra
 
 def _known(found: Composed) -> list[str]:
     """The effects that the model has a term for."""
-    terms = {term.name for term in found.oracle.model.terms.values()}
-    return [effect.term for effect in found.secret.effects if effect.term in terms]
+    return [effect.key for effect in found.secret.effects if effect.key in found.oracle.model.terms]
 
 
 def _effects(bare: Secret, noise: TrueNoise, sort: str, random: np.random.Generator) -> list[Drawn]:
@@ -141,8 +134,7 @@ def _effects(bare: Secret, noise: TrueNoise, sort: str, random: np.random.Genera
     for _ in range(DRAWS):
         if len(effects) == COUNTS[sort][0]:
             return effects
-        names = candidates(model, sort == "hidden", [effect.term for effect in effects])
-        drawn = draw_effect(bare.kind, names, random)
+        drawn = bare.setup.draw_effect(model, sort == "hidden", effects, random)
         fitting = _scaled(replace(bare, effects=tuple(effects)), drawn, noise)
         if fitting is not None:
             effects.append(fitting)
@@ -156,13 +148,13 @@ def _scaled(bare: Secret, drawn: Drawn, noise: TrueNoise) -> Drawn | None:
     about as the square of a small effect: a secant on logarithms.
     """
     wanted = math.log(drawn.target**2 - 1.0)
-    unstirred = _strength(bare, None, noise)
+    unstirred = _strength(bare, None, noise, drawn.joint)
     factor, slope = FIRST_FACTOR, 2.0
     before: tuple[float, float] | None = None
     for _ in range(REFITS):
         sized = drawn.scaled(factor)
         try:
-            strength = _strength(bare, sized, noise)
+            strength = _strength(bare, sized, noise, drawn.joint)
         except (UsageError, RecordingError):
             factor /= 3.0  # so strong that the plant cannot be run
             continue
@@ -183,14 +175,10 @@ def _scaled(bare: Secret, drawn: Drawn, noise: TrueNoise) -> Drawn | None:
     return None
 
 
-def _strength(bare: Secret, drawn: Drawn | None, noise: TrueNoise) -> float:
-    """How strong an effect is beside those that are there: all but it refitted."""
+def _strength(bare: Secret, drawn: Drawn | None, noise: TrueNoise, joint: int | None) -> float:
+    """How strong an effect is beside those that are there, in its joint's outputs: all but it refitted."""
     extra = () if drawn is None else (drawn,)
     found = composed(replace(bare, effects=(*bare.effects, *extra)), noise)
-    others = [name for name in _known(found) if drawn is None or name != drawn.term]
-    return found.oracle.strength(found.oracle.refit([*rig_model(bare.kind).baseline, *others]).theta)
-
-
-def _all_numbers(secret: Secret) -> dict[str, float]:
-    """Every number of the plant, its defaults included."""
-    return WORLDS[secret.kind].resolve(secret.terms, secret.parameters)
+    others = [key for key in _known(found) if drawn is None or key != drawn.key]
+    theta = found.oracle.refit([*rig_model(bare.kind).baseline, *others]).theta
+    return found.oracle.strength(theta, joint)

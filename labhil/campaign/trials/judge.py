@@ -9,7 +9,7 @@ import numpy as np
 
 from labhil.campaign.trials.answer import Answer, TrueEffect
 from labhil.campaign.trials.said import Named, Said
-from labhil.physics.terms import keyed
+from labhil.physics.terms import keyed, unkeyed
 
 NULL_GAIN = 3.0
 """Oracle's gain (nats) below which an effect does not count as a difference."""
@@ -33,7 +33,8 @@ class Judged:
     else was, ``single`` that no name of the answer had a rival beside it. ``confused`` holds pairs of true
     and named terms, ``claims`` pairs of a stated probability and whether it was right, ``covered`` for each
     interval whether it holds the truth, ``complete`` whether the final model holds every listed effect.
-    ``modelled`` and ``after_over_floor`` are None where there is nothing to compare.
+    ``modelled`` and ``after_over_floor`` are None where there is nothing to compare. ``joints`` tells of each
+    effect that has to be found and is in a joint whether anything was said to be in that joint.
     """
 
     trial: str
@@ -52,6 +53,7 @@ class Judged:
     after_over_floor: float | None
     overlap: float | None
     seconds: float
+    joints: tuple[bool, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +100,7 @@ def judge(answer: Answer, said: Said, loss: Loss, overlap: float | None = None) 
         after_over_floor=_after_over_floor(answer, said),
         overlap=overlap,
         seconds=said.seconds,
+        joints=_joints(sure, said),
     )
 
 
@@ -109,9 +112,9 @@ def claims_of(said: Said) -> tuple[Named, ...]:
 
 
 def fits(effect: TrueEffect, name: str) -> bool:
-    """Whether a name is right for an effect; one outside the catalogue has no name of its own."""
+    """Whether a name, with its joint, is right for an effect; one outside the catalogue has no own name."""
     if not effect.catalogue:
-        return name.startswith(UNMODELLED)
+        return name.startswith(UNMODELLED) and unkeyed(name)[1] in (None, effect.joint)
     return name == keyed(effect.term, effect.joint)
 
 
@@ -170,6 +173,14 @@ def _claims(real: Sequence[TrueEffect], said: Said) -> tuple[tuple[float, bool],
     return tuple(
         (float(p), any(fits(effect, name) for effect in real)) for name, p in stated if p is not None
     )
+
+
+def _joints(sure: Sequence[TrueEffect], said: Said) -> tuple[bool, ...]:
+    """Whether each effect that is in a joint was found in the right one; nothing where none was named."""
+    if said.verdict != "missing_physics":
+        return ()
+    named = {unkeyed(named.term)[1] for named in said.named} - {None} or {said.joint}
+    return tuple(effect.joint in named for effect in sure if effect.joint is not None)
 
 
 def _covered(answer: Answer, said: Said) -> tuple[bool, ...]:

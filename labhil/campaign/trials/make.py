@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from labhil.campaign.trials.bench import Bench, bench_of
+from labhil.campaign.trials.bench import bench_of
 from labhil.campaign.trials.compose import Composed, answer_of, compose
 from labhil.campaign.trials.draw import COUNTS, draw_sort
 from labhil.campaign.trials.folder import INDEX, RIG, Index, Listed, recording
 from labhil.campaign.trials.seal import sha256_of, write_envelope
-from labhil.campaign.trials.world import Walk, signals_of
+from labhil.campaign.trials.secret import Bench, Walk
 from labhil.errors import UsageError
 from labhil.recording.reader import RIG_ATTACHMENT
 from labhil.recording.writer import RecordingWriter
@@ -115,14 +115,14 @@ def _entropy(seed: int | None, trial: int) -> tuple[int, ...]:
 
 def _write(found: Composed, walk: Walk, out: Path, name: str, which: int) -> Path:
     """One recording with the rig file, and nothing of the secret."""
-    bench = bench_of(found.secret.kind)
-    signals = signals_of(bench, found.secret.conditions.auxiliary)
+    setup = found.secret.setup
     path = recording(out, name, ("search", "test")[which])
     path.parent.mkdir(exist_ok=True)
     t_ns = np.rint(walk.t * 1e9).astype(np.int64)
-    values = np.column_stack([walk.signals[signal.name] for signal in signals])
+    values = np.column_stack([walk.signals[signal.name] for signal in setup.signals])
     with RecordingWriter(path) as writer:
-        writer.attach(RIG_ATTACHMENT, "application/toml", bench.rig.encode())
-        channel = writer.add_stream(bench.kind, Stream("state", signals, 1.0 / bench.period), {})
+        writer.attach(RIG_ATTACHMENT, "application/toml", setup.rig.encode())
+        stream = Stream("state", setup.signals, 1.0 / setup.period)
+        channel = writer.add_stream(setup.kind, stream, {})
         writer.write(channel, Batch(np.arange(len(t_ns), dtype=np.int64), t_ns, t_ns, values))
     return path

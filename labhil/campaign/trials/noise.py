@@ -7,9 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.linalg import toeplitz
+from scipy.signal import correlate
 
-from labhil.signals import FloatArray
+from labhil.physics.arm.motion import LowPass, PreparedRecord
+from labhil.physics.model import Record
+from labhil.signals import FloatArray, IntArray
+
+REACHES = 40
+"""How far a filter is followed, in its own reaches: there nothing is left of an impulse."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,11 +34,20 @@ class TrueNoise:
         """Standard deviation of each output's noise (c,), rounding included."""
         return np.hypot(np.array(self.level), np.array(self.step) / np.sqrt(12.0))
 
-    def correlations(self, n: int) -> list[FloatArray]:
-        """For each output the correlation matrix (n, n) of its noise at n samples in a row."""
-        coloured = toeplitz(self.correlation ** np.arange(n))
+    def left_in(self, record: Record) -> LeftNoise:
+        """What of it is left in a record that a model has prepared."""
         rounded = (np.array(self.step) ** 2 / 12.0) / np.maximum(self.sigma**2, 1e-300)
-        return [np.asarray((1.0 - share) * coloured + share * np.eye(n)) for share in rounded]
+        motion = record.motion if isinstance(record, PreparedRecord) else None
+        if not isinstance(record, PreparedRecord) or motion is None or motion.low_pass is None:
+            places = np.arange(len(record))
+            judged = np.ones(record.outputs.shape, dtype=bool)
+            coloured = np.asarray(self.correlation ** np.arange(len(record)), dtype=np.float64)
+            white = np.asarray(0.0 ** np.arange(len(record)), dtype=np.float64)
+        else:
+            places, judged = record.places, motion.judged[record.places]
+            coloured = _filtered(motion.low_pass, self.correlation, int(places[-1] - places[0]) + 1)
+            white = _filtered(motion.low_pass, 0.0, len(coloured))
+        return LeftNoise(self.sigma, rounded, coloured, white, places, judged)
 
     def to_json(self) -> dict[str, Any]:
         """As plain JSON data."""
@@ -43,3 +57,58 @@ class TrueNoise:
     def from_json(cls, data: Mapping[str, Any]) -> TrueNoise:
         """Read what :meth:`to_json` wrote."""
         return cls(tuple(data["level"]), tuple(data["step"]), float(data["correlation"]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LeftNoise:
+    """Noise in the rows of a prepared record.
+
+    ``measured`` (c,) is the standard deviation before that and ``rounded`` (c,) the share of rounding in
+    its square; ``coloured`` and ``white`` are autocovariances of unit noise by distance in samples,
+    ``places`` (n,) where each row stands among these. Only ``judged`` (n, c) rows have any: the others are
+    not compared with a model.
+    """
+
+    measured: FloatArray
+    rounded: FloatArray
+    coloured: FloatArray
+    white: FloatArray
+    places: IntArray
+    judged: np.ndarray
+
+    @property
+    def sigma(self) -> FloatArray:
+        """Standard deviation (c,) of a row that is judged."""
+        return np.asarray(self.measured * np.sqrt(self._variance))
+
+    @property
+    def _variance(self) -> FloatArray:
+        """What is left (c,) of unit noise, rounding and all."""
+        return np.asarray(self.coloured[0] + self.rounded * (self.white[0] - self.coloured[0]))
+
+    @property
+    def rms(self) -> FloatArray:
+        """Root of the mean square (c,) over all rows, those that are not judged among them."""
+        return np.asarray(self.sigma * np.sqrt(self.judged.mean(axis=0)))
+
+    def correlation(self, channel: int, rows: IntArray) -> FloatArray:
+        """Correlation matrix of an output's noise in these rows."""
+        share = self.rounded[channel]
+        kept = (1.0 - share) * self.coloured + share * self.white
+        at = self.places[rows]
+        return np.asarray((kept / self._variance[channel])[np.abs(at[:, None] - at)])
+
+
+def _filtered(low_pass: LowPass, correlation: float, n: int) -> FloatArray:
+    """Autocovariance (n,) of unit AR(1) noise after a zero-phase filter, by distance in samples."""
+    m = REACHES * low_pass.reach
+    impulse = np.zeros(2 * m + 1)
+    impulse[m] = 1.0
+    kernel = low_pass(impulse)
+    doubled = correlate(kernel, kernel)
+    ends = len(doubled) - 1
+    own = correlation ** np.abs(np.arange(-ends, ends + 1)) if correlation else np.r_[
+        np.zeros(ends), 1.0, np.zeros(ends)
+    ]  # fmt: skip
+    found = np.convolve(own, doubled, mode="same")[ends:]
+    return np.asarray(found[:n] if len(found) >= n else np.r_[found, np.zeros(n - len(found))])

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from labhil.campaign.trials.noise import TrueNoise
+from labhil.campaign.trials.noise import LeftNoise, TrueNoise
 from labhil.identify.fitted import climb, start_theta
 from labhil.identify.problem import Point, Problem
 from labhil.identify.score import Score, score
 from labhil.identify.window_states import fit_states
-from labhil.identify.windows import fit_windows
-from labhil.physics.model import Model, Record
-from labhil.signals import FloatArray
+from labhil.identify.windows import all_of, fit_windows
+from labhil.physics.model import Model, Record, Windows, terms_named
+from labhil.signals import FloatArray, IntArray
 
 RUNGS = (0.5, 1.5)
 """Lengths of the windows of a refit, in scored horizons; the last as long as those of a likelihood.
@@ -41,7 +41,8 @@ class Refit:
 class Oracle:
     """Refits and judges with the true noise; ``values`` are the truth by key of the model's parameters.
 
-    ``horizon`` (s) is that of the truth, the same for all models that are compared.
+    ``search`` and ``test`` are prepared by the model; ``sigma`` (c,) is what that leaves of the noise in the
+    search, ``left`` in the test. ``horizon`` (s) is that of the truth, the same for all models compared.
     """
 
     model: Model
@@ -50,6 +51,8 @@ class Oracle:
     noise: TrueNoise
     values: Mapping[str, float]
     horizon: float
+    sigma: FloatArray
+    left: LeftNoise
 
     @classmethod
     def of(
@@ -57,44 +60,63 @@ class Oracle:
     ) -> Oracle:
         """An oracle whose horizon is that of the true values."""
         theta = start_theta(model, values)
-        return cls(model, model.prepare(search), model.prepare(test), noise, values, model.horizon_at(theta))
+        learnt, judged = model.prepare(search), model.prepare(test)
+        sigma, left = noise.left_in(learnt).sigma, noise.left_in(judged)
+        return cls(model, learnt, judged, noise, values, model.horizon_at(theta), sigma, left)
 
     def refit(self, terms: Sequence[str], fresh: Sequence[str] = ()) -> Refit:
         """These terms fitted to the search data from the truth on.
 
         Terms in ``fresh``, which are not in the truth, begin at each of their own starts.
         """
-        known = {k: v for k, v in self.values.items() if _term_of(k) in ("", *terms)}
-        lengths = [share * self.horizon for share in RUNGS]
+        own = {p.key for p in self.model.parameters if p.term is None}
+        own |= {p.key for term in terms_named(self.model, terms) for p in term.parameters}
+        known = {k: v for k, v in self.values.items() if k in own}
+        # windows are there for the sake of their initial states
+        lengths = [share * self.horizon for share in RUNGS] if self._states else [self.search.longest]
         rungs = climb(
-            self.model, self.search, terms, lengths, self.noise.sigma,
+            self.model, self.search, terms, lengths, self.sigma,
             start=start_theta(self.model, known), fresh=fresh,
         )  # fmt: skip
         return Refit(rungs[-1].theta, rungs[-1].solution.cost)
 
-    def strength(self, theta: FloatArray) -> float:
-        """RMSE of a vector on the test data over the noise floor, the mean of all outputs'."""
-        marks = score(self.model, theta, self.test, self.noise.sigma, self.horizon)
+    def marks(self, theta: FloatArray) -> Score:
+        """A vector's score on the test data."""
+        return score(self.model, theta, self.test, self.left.sigma, self.horizon)
+
+    def strength(self, theta: FloatArray, joint: int | None = None) -> float:
+        """RMSE of a vector on the test data over the noise floor, of all outputs, or a joint's own."""
+        marks = self.marks(theta)
         floors = self.floors(theta, marks)
-        return float(np.mean([c.rmse / floor for c, floor in zip(marks.channels, floors, strict=True)]))
+        return float(
+            np.mean(
+                [
+                    channel.rmse / floor
+                    for channel, floor in zip(marks.channels, floors, strict=True)
+                    if joint is None or channel.joint == joint
+                ]
+            )
+        )
 
     def floors(self, theta: FloatArray, marks: Score) -> FloatArray:
         """RMSE of a perfect model (c,), initial-state error under the true noise included."""
+        if not self._states:
+            return self.left.rms
         problem = _problem(self, theta, marks.windows.whole)
         point = Point(np.empty(0), marks.states)
         slopes = problem.state_slopes(point, problem.residuals(point))
-        c = len(self.noise.sigma)
+        c = len(self.left.sigma)
         slopes = slopes.reshape(-1, c, slopes.shape[1])
         carried = []
         for w in range(len(marks.windows.whole)):
             inside = marks.windows.whole.owner == w
             carried.append(self._carried(slopes[inside], marks.windows.scored[inside]))
-        return np.asarray(self.noise.sigma * np.sqrt(np.concatenate(carried).mean(axis=0)))
+        return np.asarray(self.left.sigma * np.sqrt(np.concatenate(carried).mean(axis=0)))
 
     def _carried(self, slopes: FloatArray, scored: np.ndarray) -> FloatArray:
         """Variance (scored samples, c) of a perfect model's errors in one window, in those of the noise."""
         n, c, states = slopes.shape
-        every = self.noise.correlations(n)
+        every = [self.left.correlation(j, np.arange(n)) for j in range(c)]
         lead = slopes[~scored].reshape(-1, states)
         gram = lead.T @ lead
         damped = gram + (1e-9 * np.diag(gram).max(initial=0.0) + 1e-12) * np.eye(states)
@@ -113,8 +135,8 @@ class Oracle:
         problem, whiten = self._whitened(theta)
         return -0.5 * float(np.sum(_settled(problem, whiten)[0] ** 2))
 
-    def log_likelihood_of_truth(self, theta: FloatArray, true: FloatArray) -> float:
-        """The same of the plant itself, whose outputs without noise are ``true`` (n, c).
+    def log_likelihood_of_truth(self, theta: FloatArray, silent: Record) -> float:
+        """The same of the plant itself, whose outputs without noise are those of the record ``silent``.
 
         What initial states could explain of the noise, with slopes taken along ``theta``, is taken out:
         the plant then has as many of them as a model has.
@@ -122,38 +144,53 @@ class Oracle:
         problem, whiten = self._whitened(theta)
         _, point = _settled(problem, whiten)
         rows = problem.windows.rows
-        noise = ((self.test.outputs[rows] - true[rows]) / self.noise.sigma).ravel()
+        true = self.model.prepare(silent).outputs
+        noise = ((self.test.outputs[rows] - true[rows]) / self.left.sigma).ravel()
         slopes = problem.state_slopes(point, problem.residuals(point))
         return -0.5 * float(np.sum(_left(problem, whiten(noise[:, None])[:, 0], whiten(slopes)) ** 2))
 
     def _whitened(self, theta: FloatArray) -> tuple[Problem, Whiten]:
-        windows = fit_windows(self.test, JUDGED * self.horizon)
-        return _problem(self, theta, windows), _whitening(windows.last - windows.first, self.noise)
+        windows = fit_windows(self.test, JUDGED * self.horizon) if self._states else all_of(self.test).whole
+        return _problem(self, theta, windows), _whitening(windows, self.left)
+
+    @property
+    def _states(self) -> bool:
+        """Whether windows of this model begin in states of their own."""
+        return bool(self.model.state_names)
 
 
 Whiten = Callable[[FloatArray], FloatArray]
 
 
-def _problem(oracle: Oracle, theta: FloatArray, windows: object) -> Problem:
+def _problem(oracle: Oracle, theta: FloatArray, windows: Windows) -> Problem:
     nothing = np.empty(0, dtype=np.int64)
-    return Problem(oracle.model, oracle.test, windows, nothing, theta, oracle.noise.sigma)  # type: ignore[arg-type]
+    return Problem(oracle.model, oracle.test, windows, nothing, theta, oracle.left.sigma)
 
 
-def _whitening(lengths: np.ndarray, noise: TrueNoise) -> Whiten:
-    """A map that makes rows (N·c, k), window after window, as independent as white noise of variance 1."""
+def _whitening(windows: Windows, noise: LeftNoise) -> Whiten:
+    """A map that makes rows (N·c, k), window after window, as independent as white noise of variance 1.
+
+    Rows that are not judged, which have no noise, become zero.
+    """
     c = len(noise.sigma)
-    factors = {
-        int(n): [cholesky(matrix, lower=True) for matrix in noise.correlations(int(n))]
-        for n in np.unique(lengths)
-    }
-    ends = np.cumsum(lengths)
+    factors: dict[bytes, FloatArray] = {}
+    parts: list[tuple[int, IntArray, FloatArray]] = []
+    before = 0
+    for first, last in zip(windows.first, windows.last, strict=True):
+        for j in range(c):
+            rows = np.arange(first, last)[noise.judged[first:last, j]]
+            apart = noise.places[rows] - noise.places[rows[:1]]
+            key = apart.tobytes() + bytes([j])
+            if key not in factors:
+                factors[key] = cholesky(noise.correlation(j, rows), lower=True)
+            parts.append((j, before + rows - first, factors[key]))
+        before += int(last - first)
 
     def whiten(rows: FloatArray) -> FloatArray:
-        shaped = rows.reshape(-1, c, rows.shape[1])
-        out = np.empty_like(shaped)
-        for first, last in zip(ends - lengths, ends, strict=True):
-            for j, factor in enumerate(factors[int(last - first)]):
-                out[first:last, j] = solve_triangular(factor, shaped[first:last, j], lower=True)
+        shaped = rows.reshape(before, c, rows.shape[1])
+        out = np.zeros_like(shaped)
+        for j, at, factor in parts:
+            out[at, j] = solve_triangular(factor, shaped[at, j], lower=True)
         return out.reshape(rows.shape)
 
     return whiten
@@ -165,6 +202,8 @@ def _settled(problem: Problem, whiten: Whiten) -> tuple[FloatArray, Point]:
     point = Point(none, fit_states(problem, none, problem.guess))
     residuals = problem.residuals(point)
     white = whiten(residuals[:, None])[:, 0]
+    if not problem.model.state_names:
+        return white, point
     share = np.ones(len(point.states))
     for _ in range(STEPS):
         slopes = whiten(problem.state_slopes(point, residuals))
@@ -187,12 +226,8 @@ def _settled(problem: Problem, whiten: Whiten) -> tuple[FloatArray, Point]:
 
 def _left(problem: Problem, white: FloatArray, slopes: FloatArray) -> FloatArray:
     """What each window's own states leave of white rows (N·c,)."""
+    if not problem.model.state_names:
+        return white
     mixed = problem.per_window(slopes * white[:, None])[:, :, None]
     share = np.linalg.solve(problem.state_gram(slopes), mixed)[:, :, 0]
     return np.asarray(white - np.einsum("ns,ns->n", slopes, share[problem.owner]))
-
-
-def _term_of(key: str) -> str:
-    """The term that a parameter's key belongs to; empty for a rig's own."""
-    name, dot, _ = key.partition(".")
-    return name if dot else ""

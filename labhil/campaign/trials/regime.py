@@ -7,29 +7,29 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from labhil.campaign.trials.oracle import Oracle
-from labhil.campaign.trials.said import Regime
+from labhil.campaign.trials.said import Regime, Said
 from labhil.identify.fitted import start_theta
-from labhil.identify.score import score
 from labhil.signals import FloatArray
 
 SHARE = 0.8
 """Of the excess squared error that the true regime holds."""
 WIDEST = 0.6
 """Share of the samples beyond which a regime is none."""
-BEAM = ("beam_sine", "beam_rate")
-"""Coordinates behind the way in: an effect there changes what the forces are made of."""
+BEHIND = ("beam_sine", "beam_rate", "load_")
+"""How coordinates behind the way in, and loads, begin: effects there change what the forces are made of."""
 
 
-def overlap(oracle: Oracle, term: str, others: Sequence[str], reported: Sequence[Regime]) -> float | None:
+def overlap(oracle: Oracle, term: str, others: Sequence[str], said: Said) -> float | None:
     """Intersection over union of reported and true regime of an effect, on the test's scored samples.
 
-    ``others`` are the terms of the true model without it. None where that cannot be said: the effect
-    exerts no force of its own, or shows nearly everywhere.
+    ``term`` is its key and ``others`` are the terms of the true model without it. Where joints have outputs
+    of their own, those of the effect's joint count, of what belongs to no joint those of the joint where the
+    mismatch is said to be. None where that cannot be said: the effect exerts no force of its own, or shows
+    nearly everywhere.
     """
     theta = start_theta(oracle.model, oracle.values)
-    with_it = score(oracle.model, theta, oracle.test, oracle.noise.sigma, oracle.horizon)
-    without = score(oracle.model, oracle.refit(others).theta, oracle.test, oracle.noise.sigma, oracle.horizon)
-    excess = ((without.errors**2 - with_it.errors**2) / oracle.noise.sigma**2).sum(axis=1)
+    with_it, without = oracle.marks(theta), oracle.marks(oracle.refit(others).theta)
+    excess = (without.errors**2 - with_it.errors**2) / oracle.left.sigma**2
     windows = with_it.windows
     less = _without(oracle, theta, term)
     here, there = (
@@ -41,10 +41,13 @@ def overlap(oracle: Oracle, term: str, others: Sequence[str], reported: Sequence
         }
         for vector in (theta, less)
     )
-    fed = {**here, **{name: there[name] for name in BEAM if name in there}}
+    fed = {**here, **{name: values for name, values in there.items() if name.startswith(BEHIND)}}
     own = np.abs(oracle.model.effort(theta, here) - oracle.model.effort(less, fed))
-    true = level_set(own, excess)
-    return None if true is None else agreement(true, inside(here, reported))
+    joint = oracle.model.terms[term].joint
+    joint = said.joint if joint is None else joint
+    here_only = [j for j, c in enumerate(with_it.channels) if joint is None or c.joint in (None, joint)]
+    true = level_set(own[:, joint] if own.ndim == 2 else own, excess[:, here_only].sum(axis=1))
+    return None if true is None else agreement(true, inside(here, said.regimes))
 
 
 def level_set(own: FloatArray, excess: FloatArray) -> np.ndarray | None:

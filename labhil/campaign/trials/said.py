@@ -57,7 +57,7 @@ class Regime:
 
 @dataclass(frozen=True, slots=True)
 class Said:
-    """A diagnosis; ``verdict`` is None where it failed."""
+    """A diagnosis; ``verdict`` is None where it failed, ``joint`` that whose output is off the most."""
 
     verdict: str | None
     named: tuple[Named, ...] = ()
@@ -65,6 +65,7 @@ class Said:
     intervals: tuple[Interval, ...] = ()
     figures: tuple[Figures, ...] = ()
     regimes: tuple[Regime, ...] = ()
+    joint: int | None = None
     seconds: float = 0.0
     error: str = ""
 
@@ -92,6 +93,7 @@ def said_in(data: Mapping[str, Any]) -> Said:
         intervals=tuple(_interval(row) for row in data["final"]["parameters"]),
         figures=_figures(data["improvement"]),
         regimes=_regimes(data["location"]),
+        joint=(data["location"] or {}).get("joint"),
         seconds=float(data["seconds"]),
     )
 

@@ -98,7 +98,7 @@ class Bystander:
         oracle = self.oracle
         if rival not in oracle.model.terms:
             return float("inf")
-        others = [name for name in self.full if name != effect.term]
+        others = [name for name in self.full if name != effect.key]
         without = oracle.refit(others)
         new = [] if rival in others else [rival]
         tried = oracle.refit([*others, *new], new)
@@ -112,13 +112,13 @@ class Bystander:
         real = [effect for effect in self.answer.effects if effect.oracle_gain >= NULL_GAIN]
         if said.verdict != "missing_physics" or len(real) != 1 or not real[0].catalogue:
             return None
-        others = [name for name in self.full if name != real[0].term]
-        return overlap(self.oracle, real[0].term, others, said.regimes)
+        others = [name for name in self.full if name != real[0].key]
+        return overlap(self.oracle, real[0].key, others, said)
 
     @property
     def full(self) -> list[str]:
         """Terms of the true model, as far as there are any."""
-        return [*self.answer.baseline, *(effect.term for effect in self.answer.effects if effect.catalogue)]
+        return [*self.answer.baseline, *(effect.key for effect in self.answer.effects if effect.catalogue)]
 
     @cached_property
     def oracle(self) -> Oracle:

@@ -8,6 +8,9 @@ from rich.table import Table
 from labhil.campaign.trials.card import Card
 from labhil.campaign.trials.judge import NONE, UNMODELLED
 
+WIDEST = 12
+"""Columns of a matrix that are printed side by side."""
+
 
 def show(card: Card, console: Console) -> None:
     """Print all figures; shares with two-sided 95 % Clopper-Pearson limits in per cent."""
@@ -33,6 +36,7 @@ def lines(card: Card) -> list[str]:
         f"Calibration error of stated probabilities: {calibration}",
         f"Modelled (80 % of the excess gone): {card.modelled}",
         f"Regime right (intersection over union at least a half): {card.overlap}",
+        *([f"Right joint: {card.joints}"] if card.joints.of else []),
         f"RMSE after over the noise floor: {error}",
         f"99 % intervals that cover, all effects in the model: {card.covered}",
         f"99 % intervals that cover, other models: {card.covered_apart}",
@@ -41,6 +45,8 @@ def lines(card: Card) -> list[str]:
 
 
 def _confusion(card: Card) -> Table:
+    if len({name for _, name in card.confusion}) > WIDEST:
+        return _pairs(card)
     table = _table("What is there (rows), what was named (columns)", "")
     named = sorted({name for _, name in card.confusion}, key=_last)
     for name in named:
@@ -48,6 +54,14 @@ def _confusion(card: Card) -> Table:
     for true in sorted({true for true, _ in card.confusion}, key=_last):
         counts = [card.confusion.get((true, name), 0) for name in named]
         table.add_row(true, *(str(c) if c else "·" for c in counts))
+    return table
+
+
+def _pairs(card: Card) -> Table:
+    """The same one pair a line, where there are more columns than fit: those of six joints."""
+    table = _table("What is there, what was named", "there", "named", "trials")
+    for true, name in sorted(card.confusion, key=lambda pair: (_last(pair[0]), _last(pair[1]))):
+        table.add_row(true, name, str(card.confusion[true, name]))
     return table
 
 

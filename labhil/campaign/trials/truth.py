@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 
 from labhil.physics.model import Model
+from labhil.physics.terms import keyed
 
 INVERSES: Mapping[str, str] = {
     "saturation.inverse_limit": "saturation.limit",
@@ -14,26 +15,37 @@ INVERSES: Mapping[str, str] = {
 """Parameters of a model that are one over the plant's."""
 
 
+OTHER_NAMES: Mapping[str, str] = {"torque_constant.gain": "sensor_gain.gain"}
+"""Parameters of a model that the plant calls otherwise."""
+RATE = "temperature_dependent_friction.rate"
+WAVES = ("cogging_torque", "torque_ripple")
+
+
 def model_values(model: Model, plant: Mapping[str, float]) -> dict[str, float]:
     """Values of the model's parameters, by key, that the plant's numbers (by full name) determine."""
     values = {}
     for parameter in model.parameters:
-        value = _value(parameter.name, plant)
+        value = _value(parameter.name, parameter.joint, plant)
         if value is not None:
             values[parameter.key] = value
     return values
 
 
-def _value(name: str, plant: Mapping[str, float]) -> float | None:
-    if name in plant:
-        return plant[name]
+def _value(name: str, joint: int | None, plant: Mapping[str, float]) -> float | None:
+    def of(name: str) -> float | None:
+        return plant.get(keyed(name, joint))
+
+    term, _, part = name.partition(".")
+    if name == "viscous_friction.coefficient" and joint is not None and of(RATE):
+        return None  # an arm's model has it at the first temperature
     if name in INVERSES:
-        found = plant.get(INVERSES[name])
+        found = of(INVERSES[name])
         return None if found is None else 1.0 / found
-    # amplitude·sin(kx + φ) = amplitude·cos φ·sin kx + amplitude·sin φ·cos kx
-    amplitude, phase = plant.get("cogging_torque.amplitude"), plant.get("cogging_torque.phase", 0.0)
-    if amplitude is not None and name == "cogging_torque.sine":
-        return amplitude * math.cos(phase)
-    if amplitude is not None and name == "cogging_torque.cosine":
-        return amplitude * math.sin(phase)
-    return None
+    if name == "presliding_friction.length":
+        level, stiffness = of("coulomb_friction.level"), of("presliding_friction.stiffness")
+        return level / stiffness if level and stiffness else None
+    amplitude, phase = of(f"{term}.amplitude"), of(f"{term}.phase") or 0.0
+    if term in WAVES and part in ("sine", "cosine") and amplitude is not None:
+        # amplitude·sin(kx + φ) = amplitude·cos φ·sin kx + amplitude·sin φ·cos kx
+        return amplitude * (math.cos(phase) if part == "sine" else math.sin(phase))
+    return of(OTHER_NAMES.get(name, name))

@@ -1,0 +1,272 @@
+"""Rigs that one input drives: what their benches record, what can be drawn, and a walk sample by sample."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from labhil.campaign.trials.loop import EXCITATIONS, Law, Loop, Range
+from labhil.campaign.trials.noise import TrueNoise
+from labhil.campaign.trials.secret import Drawn, Secret, Walk
+from labhil.campaign.trials.sizes import drawn_size, power_of, spread
+from labhil.errors import UsageError
+from labhil.kinds import KINDS
+from labhil.physics.model import Model, Record
+from labhil.physics.rigs import rig_model
+from labhil.plants.ball_beam_rig import BallBeamRig
+from labhil.plants.rigs import WORLDS, Plant, effects_of, plant_of
+from labhil.plants.world import World
+from labhil.signals import FloatArray, Hold, Signal
+
+STRENGTHS = (1.1, 5.0)
+BITS = (0, 0, 8, 10)
+"""Bits of the converter; 0 stands for one that is finer than the noise."""
+NEED_DRY = ("presliding_friction", "maxwell_slip_friction", "position_dependent_friction")
+"""Effects that change dry friction and do nothing, or drive the part, where there is none."""
+DRY = ("coulomb_friction", "stribeck_friction", "load_dependent_friction")
+MEASUREMENT = ("quantisation", "pwm_ripple")
+"""Effects of a plant that belong to the bench's conditions."""
+FINEST_BITS = 16.0
+"""Of the ball and beam's converter, which is always there."""
+HEADROOM = 1.25
+"""Full scale of a converter over the largest value it was expected to see."""
+
+
+@dataclass(frozen=True, slots=True)
+class OneInputBench:
+    """What a trial of one kind of rig records, and how.
+
+    ``noise`` bounds the power of a channel over its noise, dB; ``spread`` maps parameters that nobody
+    knows to the largest factor by which they differ from the plant's defaults; ``at_work`` are numbers of
+    the plant other than its defaults; ``warm`` those of a bench that records ``auxiliary`` channels too.
+    ``travel`` is the largest first output that the bench allows.
+    """
+
+    kind: str
+    rig: str
+    period: float
+    samples: tuple[int, int]
+    outputs: tuple[str, ...]
+    noise: Range
+    spread: Mapping[str, float]
+    loops: tuple[Loop, ...]
+    auxiliary: tuple[str, ...] = ()
+    at_work: Mapping[str, float] | None = None
+    warm: Mapping[str, float] | None = None
+    travel: float = float("inf")
+    noise_names: Mapping[str, str] | None = None
+
+    def noise_name(self, output: str) -> str:
+        """The plant's name of the noise of an output."""
+        return (self.noise_names or {}).get(output, f"{output}_noise")
+
+    def setup(self, random: np.random.Generator) -> OneInputSetup:
+        """The rig under random conditions."""
+        return OneInputSetup(self, _conditions(self, random))
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """How a trial is recorded.
+
+    ``loop`` is the bench's loop by number; ``decibels`` the power of each output over its noise,
+    ``correlation`` that of neighbouring samples' noise, ``bits`` those of the converter (0: fine),
+    ``jitter`` the standard deviation of the samples' times in periods; ``auxiliary`` says whether
+    further channels are recorded; ``seeds`` fix excitation and noise of search and test.
+    """
+
+    loop: int
+    excitation: str
+    decibels: float
+    correlation: float
+    bits: int
+    jitter: float
+    auxiliary: bool
+    seeds: tuple[int, int]
+
+
+def _conditions(bench: OneInputBench, random: np.random.Generator) -> Conditions:
+    return Conditions(
+        loop=int(random.integers(len(bench.loops))),
+        excitation=str(random.choice(list(EXCITATIONS))),
+        decibels=float(random.uniform(*bench.noise)),
+        correlation=float(random.choice([0.0, random.uniform(0.3, 0.8)])),
+        bits=int(random.choice(BITS)),
+        jitter=float(random.choice([0.0, random.uniform(0.02, 0.15)])),
+        auxiliary=bool(bench.auxiliary) and bool(random.integers(2)),
+        seeds=(int(random.integers(2**31)), int(random.integers(2**31))),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class OneInputSetup:
+    """A bench under the conditions of one trial (satisfies ``secret.Setup``)."""
+
+    bench: OneInputBench
+    conditions: Conditions
+
+    @property
+    def kind(self) -> str:
+        """The kind of rig."""
+        return self.bench.kind
+
+    @property
+    def rig(self) -> str:
+        """The rig file's text."""
+        return self.bench.rig
+
+    @property
+    def period(self) -> float:
+        """Time between samples, s."""
+        return self.bench.period
+
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        """The input, the outputs and, where they are recorded, the further channels."""
+        kind = KINDS[self.kind]
+        names = (kind.inputs[0].name, *self.bench.outputs, *self._others)
+        return tuple(signal for signal in kind.signals() if signal.name in names)
+
+    def told(self) -> dict[str, Any]:
+        """The conditions as an answer lists them."""
+        return asdict(self.conditions)
+
+    def draw_base(self, random: np.random.Generator) -> dict[str, float]:
+        """The baseline's numbers, spread about the plant's defaults."""
+        bench, defaults = self.bench, self._world.all_parameters()
+        drawn = {name: defaults[name] * spread(factor, random) for name, factor in bench.spread.items()}
+        warm = dict(bench.warm or {}) if self.conditions.auxiliary else {}
+        return drawn | dict(bench.at_work or {}) | warm
+
+    def draw_effect(
+        self, model: Model, outside: bool, others: Sequence[Drawn], random: np.random.Generator
+    ) -> Drawn:
+        """One effect of random kind and size, with the strength that it is to be scaled to."""
+        term = str(random.choice(list(_candidates(model, outside, [effect.term for effect in others]))))
+        low, high = np.log(STRENGTHS)
+        defaults = self._world.parameters_of(term)
+        drawn = {name: drawn_size(name, value, random) for name, value in defaults.items()}
+        powers = {name: power_of(name) for name in drawn}
+        return Drawn(term, drawn, powers, float(np.exp(random.uniform(low, high))))
+
+    def numbers(self, secret: Secret) -> Mapping[str, float]:
+        """Every number of the plant, its defaults included."""
+        return self._world.resolve(secret.terms, secret.parameters)
+
+    def loudness(self, secret: Secret) -> TrueNoise:
+        """Noise and steps of the outputs for these conditions, from a silent rehearsal."""
+        bench, made = self.bench, self.conditions
+        rehearsed = self._walk(secret, 0, self._silence())
+        measured = [rehearsed.signals[name] for name in bench.outputs]
+        level = [float(x.std()) * 10.0 ** (-made.decibels / 20.0) for x in measured]
+        reach = [2.0 * HEADROOM * float(np.abs(x).max()) for x in measured]
+        if bench.kind == "ball_beam":
+            reach = [0.5]
+        step = [full / 2**made.bits if made.bits else 0.0 for full in reach]
+        return TrueNoise(tuple(level), tuple(step), made.correlation)
+
+    def walk(self, secret: Secret, noise: TrueNoise, which: int) -> Walk:
+        """Record the search (0) or the test (1).
+
+        UsageError where the plant runs away or leaves its travel.
+        """
+        found = self._walk(secret, which, self._measured(noise))
+        first, travel = self.bench.outputs[0], self.bench.travel
+        reached = float(np.abs(found.signals[first]).max())
+        if reached > travel:
+            raise UsageError(f"{first} reached {reached:g}, at most {travel:g} is allowed")
+        return found
+
+    def silent(self, secret: Secret, walk: Walk, which: int) -> Walk:
+        """The same commands again, measured without noise and steps."""
+        return self._walk(secret, which, self._silence(), walk.commands)
+
+    def record(self, walk: Walk) -> Record:
+        """The walk as a model sees it."""
+        kinds = {signal.name: signal for signal in KINDS[self.kind].signals()}
+        source, outputs = KINDS[self.kind].inputs[0], self.bench.outputs
+        return Record(
+            t=walk.t,
+            inputs=np.ascontiguousarray(walk.signals[source.name][:, None]),
+            outputs=np.column_stack([walk.signals[name] for name in outputs]),
+            input_names=(source.name,),
+            output_names=outputs,
+            output_units=tuple(kinds[name].unit for name in outputs),
+            input_holds=(source.hold,),
+            auxiliary={name: walk.signals[name] for name in self._others},
+            output_joints=(None,) * len(outputs),
+        )
+
+    @property
+    def _world(self) -> World:
+        return WORLDS[self.kind]
+
+    @property
+    def _others(self) -> tuple[str, ...]:
+        return self.bench.auxiliary if self.conditions.auxiliary else ()
+
+    def _silence(self) -> dict[str, float]:
+        fine = {"adc_bits": FINEST_BITS} if self.kind == "ball_beam" else {}
+        return {self.bench.noise_name(name): 0.0 for name in self.bench.outputs} | fine
+
+    def _measured(self, noise: TrueNoise) -> dict[str, float]:
+        """Parameters of the plant that make this noise."""
+        bench = self.bench
+        given = {bench.noise_name(n): level for n, level in zip(bench.outputs, noise.level, strict=True)}
+        given["noise_correlation"] = noise.correlation
+        if self.kind == "ball_beam":
+            return given | {"adc_bits": float(self.conditions.bits) or FINEST_BITS}
+        return given | {f"{n}_resolution": step for n, step in zip(bench.outputs, noise.step, strict=True)}
+
+    def _walk(
+        self, secret: Secret, which: int, measured: Mapping[str, float], commands: FloatArray | None = None
+    ) -> Walk:
+        """Step through one recording; ``commands`` (n + 1,) take the place of excitation and controller."""
+        bench, made, n = self.bench, self.conditions, self.bench.samples[which]
+        seed = made.seeds[which]
+        jitter = 0.0 if _counts_samples(secret) else made.jitter * bench.period
+        given = {**secret.parameters, **measured, "stamp_jitter": jitter}
+        plant = plant_of(bench.kind, given, secret.terms, seed, bench.period)
+        loop = bench.loops[made.loop]
+        t: FloatArray = bench.period * np.arange(n + 1, dtype=np.float64)
+        excitation = EXCITATIONS[made.excitation](t, loop, np.random.default_rng([seed, 1]))
+        law = Law(loop.controller, bench.period)
+        rows: list[Mapping[str, float]] = []
+        stamps, sent, seen = np.empty(n + 1), np.empty(n + 1), 0.0
+        for k in range(n + 1):
+            sent[k] = commands[k] if commands is not None else law.command(float(excitation[k]), seen)
+            rows.append(plant.step(float(sent[k])))
+            stamps[k] = _clock(plant)
+            seen = rows[-1][bench.outputs[0]]
+        source = KINDS[bench.kind].inputs[0]
+        # a command that is held acts after the sample beside which it stands, another has just been reached
+        acting = sent[1:] if source.hold is Hold.ZERO else sent[:-1]
+        signals = {name: np.array([row[name] for row in rows[:-1]]) for name in rows[0]}
+        return Walk(stamps[:-1] - stamps[0], sent, {source.name: acting} | signals)
+
+
+def _counts_samples(secret: Secret) -> bool:
+    """Whether the plant cannot have uneven samples: a ball and beam with a delay counts them."""
+    return secret.kind == "ball_beam" and "time_delay" in secret.terms
+
+
+def _clock(plant: Plant) -> float:
+    """The plant's own time, s."""
+    if isinstance(plant, BallBeamRig):
+        return plant.time
+    return float(plant.drive.time)  # type: ignore[attr-defined]
+
+
+def _candidates(model: Model, outside: bool, others: Sequence[str]) -> tuple[str, ...]:
+    """Effects of the plant that the model can name, or those that it cannot, to join ``others``."""
+    known = {term.name for term in model.terms.values()}
+    there = {*rig_model(model.kind).baseline, *others}
+    fitting = [name for name in effects_of(model.kind) if name not in NEED_DRY or there & set(DRY)]
+    effects = [name for name in fitting if name not in there]
+    if not outside:
+        return tuple(name for name in effects if name in known)
+    strange = [name for name in effects if name not in known and name not in MEASUREMENT]
+    return (*strange, *effects_of(model.kind, hidden=True))

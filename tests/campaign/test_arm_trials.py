@@ -1,0 +1,196 @@
+"""Sealed trials of an arm: what is drawn, the noise that its filter leaves, and joints in the score."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from io import StringIO
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from labhil.campaign.share import Share
+from labhil.campaign.trials.answer import Answer, TrueEffect
+from labhil.campaign.trials.bench import bench_of
+from labhil.campaign.trials.card import count
+from labhil.campaign.trials.compose import compose
+from labhil.campaign.trials.judge import judge
+from labhil.campaign.trials.make import Order, answers_beside, make_trials
+from labhil.campaign.trials.noise import TrueNoise, _filtered
+from labhil.campaign.trials.run import run_trials
+from labhil.campaign.trials.said import said_in
+from labhil.campaign.trials.score import score_trials
+from labhil.campaign.trials.seal import open_envelope, write_envelope
+from labhil.campaign.trials.secret import Secret
+from labhil.campaign.trials.show import show
+from labhil.campaign.trials.truth import model_values
+from labhil.physics.arm.motion import LowPass
+from labhil.physics.rigs import model_for
+from labhil.rig import parse_rig
+
+NOISE = TrueNoise((0.02,) * 6, (0.001,) * 6, 0.5)
+
+
+def silent(text):
+    return None
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    return model_for(parse_rig(bench_of("ur5").rig, tmp_path_factory.mktemp("rig") / "ur5.toml"))
+
+
+def drawn(seed, model, sort="1"):
+    """A setup, its baseline's numbers, and the first effect of that seed."""
+    random = np.random.default_rng(seed)
+    setup = bench_of("ur5").setup(random)
+    base = setup.draw_base(random)
+    return setup, base, setup.draw_effect(model, sort == "hidden", [], random)
+
+
+def true_effect(term, joint, catalogue=True):
+    return TrueEffect(term, joint, catalogue, {}, {}, 3.0, 100.0)
+
+
+def answer(*effects):
+    floors = {f"actual_current_{j}": 0.01 for j in range(6)}
+    baseline = ("viscous_friction", "coulomb_friction", "sensor_offset")
+    return Answer("001", "ur5", {}, baseline, effects, {}, NOISE, floors, 1.0, {}, {})
+
+
+def said(*claims):
+    missing = [{"term": term, "joint": joint, "probability": 0.9} for term, joint in claims]
+    located = {"joint": claims[0][1], "regimes": []}
+    return said_in(
+        {
+            "schema": "labhil.diagnosis/1",
+            "verdict": "missing_physics",
+            "missing": missing,
+            "rivals": [],
+            "final": {"terms": [], "parameters": []},
+            "improvement": None,
+            "location": located,
+            "seconds": 1.0,
+        }
+    )
+
+
+def test_effects_are_drawn_for_one_joint_or_for_the_whole_arm(model):
+    effects = [drawn((seed, 0), model)[2] for seed in range(60)]
+    whole = {effect.term for effect in effects if effect.joint is None}
+    assert whole == {"payload", "base_tilt", "clock_offset"}
+    assert {effect.joint for effect in effects} == {None, *range(6)}
+    assert all(effect.key in model.terms for effect in effects)
+    assert not {"constant_force", "static_friction", "viscous_friction"} & {e.term for e in effects}
+    for effect in effects:
+        ends = {name[-3:] for name in effect.parameters}
+        assert effect.joint is None or ends == {f"[{effect.joint}]"}
+
+
+def test_hidden_effects_of_an_arm_stand_in_no_list(model):
+    effects = [drawn((seed, 1), model, "hidden")[2] for seed in range(12)]
+    assert {effect.term for effect in effects} == {"hidden_cable", "hidden_sticky_patch"}
+    assert all((effect.joint is None) == (effect.term == "hidden_cable") for effect in effects)
+
+
+def test_what_a_plant_is_made_of_is_what_its_model_calls_it(model):
+    setup, base, effect = drawn((4, 0), model)
+    assert effect.key == "torque_constant[0]"
+    numbers = setup.numbers(Secret(setup, base, (effect.scaled(2.0),)))
+    values = model_values(model, numbers)
+    gain = 2.0 * effect.parameters["sensor_gain.gain[0]"]
+    assert values["torque_constant.gain[0]"] == pytest.approx(gain)
+    assert values["torque_constant.gain[1]"] == 0.0
+    assert values["coulomb_friction.level[3]"] == base["coulomb_friction.level[3]"]
+
+
+def test_a_stronger_effect_keeps_its_shape(model):
+    effect = next(e for s in range(60) if (e := drawn((s, 0), model)[2]).term == "payload")
+    twice = effect.scaled(2.0)
+    assert twice.parameters["payload.mass"] == pytest.approx(2.0 * effect.parameters["payload.mass"])
+    assert twice.parameters["payload.centre_z"] == effect.parameters["payload.centre_z"]
+    bristles = next(e for s in range(60) if (e := drawn((s, 0), model)[2]).term == "presliding_friction")
+    key = f"presliding_friction.stiffness[{bristles.joint}]"
+    assert bristles.scaled(2.0).parameters[key] == pytest.approx(0.5 * bristles.parameters[key])
+
+
+def test_an_effect_of_a_joint_keeps_it_in_its_envelope(tmp_path):
+    told = answer(true_effect("load_dependent_friction", 1), true_effect("payload", None))
+    sealed = write_envelope(told.to_json(), tmp_path / "001.json")
+    opened = Answer.from_json(open_envelope(tmp_path / "001.json", sealed))
+    assert opened == told
+    assert [effect.key for effect in opened.effects] == ["load_dependent_friction[1]", "payload"]
+    assert json.dumps(opened.to_json(), allow_nan=False)
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.6])
+def test_noise_after_a_filter_is_as_it_is_computed(correlation):
+    low_pass, random = LowPass(9.0, 0.008), np.random.default_rng(1)
+    noise = random.standard_normal((2500, 200))
+    for k in range(1, len(noise)):
+        noise[k] = correlation * noise[k - 1] + np.sqrt(1.0 - correlation**2) * noise[k]
+    passed = low_pass(noise)[200:-200]
+    stated = _filtered(low_pass, correlation, 40)
+    for apart in (0, 3, 6, 11):
+        found = float(np.mean(passed[: len(passed) - apart] * passed[apart:]))
+        assert found == pytest.approx(stated[apart], abs=0.03 * stated[0])
+
+
+def test_the_right_name_in_the_wrong_joint_is_wrong():
+    truth = answer(true_effect("load_dependent_friction", 1))
+    right, wrong = (judge(truth, said(("load_dependent_friction", j)), lambda e, r: 0.0) for j in (1, 2))
+    assert right.exact
+    assert not wrong.exact
+    assert wrong.confused == (("load_dependent_friction[1]", "load_dependent_friction[2]"),)
+    card = count([right, wrong], "ur5", True)
+    assert card.joints == Share(1, 2)
+    assert card.to_json()["right_joint"] == card.joints.to_json()
+
+
+def test_what_has_no_name_has_to_be_found_in_its_joint():
+    truth = answer(true_effect("hidden_sticky_patch", 2, catalogue=False))
+    here, there = (judge(truth, said(("unmodelled_force", j)), lambda e, r: 0.0) for j in (2, 4))
+    assert here.exact
+    assert not there.exact
+
+
+def test_a_confusion_of_many_joints_is_printed_pair_by_pair():
+    pairs = [(f"stribeck_friction[{j}]", f"{term}[{j}]") for j in range(6) for term in ("a", "b", "c")]
+    card = count([judge(answer(), said(("a", 0)), lambda e, r: 0.0)], "ur5", True)
+    out = StringIO()
+    show(replace(card, confusion=dict.fromkeys(pairs, 2)), Console(file=out, width=80))
+    lines = [line.split() for line in out.getvalue().splitlines()]
+    assert ["stribeck_friction[5]", "c[5]", "2"] in lines
+
+
+def test_the_truth_leaves_noise_as_it_is_known():
+    found = compose("ur5", "0", np.random.default_rng((6, 0)))
+    oracle = found.oracle
+    refit = oracle.refit(["viscous_friction", "coulomb_friction", "sensor_offset"])
+    marks = [oracle.strength(refit.theta, joint) for joint in range(6)]
+    assert marks == pytest.approx([1.0] * 6, abs=0.15)
+    assert oracle.strength(refit.theta) == pytest.approx(np.mean(marks))
+    # of white noise of as many samples as are judged
+    judged = np.count_nonzero(oracle.left.judged)
+    assert -2.0 * oracle.log_likelihood(refit.theta) == pytest.approx(judged, rel=0.1)
+    setup, secret = found.secret.setup, found.secret
+    record = setup.record(setup.silent(secret, found.walks[1], 1))
+    assert -2.0 * oracle.log_likelihood_of_truth(refit.theta, record) == pytest.approx(judged, rel=0.1)
+
+
+@pytest.mark.extended
+def test_three_trials_of_an_arm_from_drawing_to_score(tmp_path):
+    """A null, an effect of one joint, a payload."""
+    cards = {}
+    for name, sort, seed in (("null", "0", 6), ("joint", "1", 20), ("payload", "1", 29)):
+        folder = tmp_path / name
+        order = Order("ur5", 1, sort, folder, answers_beside(folder), seed)
+        make_trials(order, 1, silent)
+        run_trials(folder, 1, silent)
+        cards[name] = score_trials(folder, order.answers, silent)
+    assert cards["null"].false_alarms == Share(0, 1)
+    assert cards["joint"].confusion == {("quadratic_viscous_friction[0]", "quadratic_viscous_friction[0]"): 1}
+    assert cards["joint"].joints == Share(1, 1)
+    assert cards["payload"].confusion == {("payload", "payload"): 1}
+    assert cards["payload"].naming["one effect"]["any"] == Share(1, 1)
