@@ -24,12 +24,11 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
+from labhil_ur5.declared import COMMAND_TIMEOUT, DIGITAL_OUTPUTS
 from labhil_ur5.player import Player, TooFastError
 
 WATCHDOG_RATE = 10.0
 """What the controller's watchdog expects of us at least, Hz."""
-COMMAND_TIMEOUT = 0.3
-"""How long the arm moves on without a word from the driver, s."""
 MOVE_SPEED, MOVE_ACCELERATION = 0.5, 0.7
 """How the arm goes to where a path begins, rad/s and rad/s² of its fastest joint."""
 STOP_ACCELERATION = 3.0
@@ -40,7 +39,6 @@ UNSEEN = 0.5
 """A move that was not seen to run is taken for done after so long, s."""
 TELL_EVERY = 0.1
 IDLE_PERIOD = 0.02
-DIGITAL_OUTPUTS = 8
 
 
 class FaultError(Exception):

@@ -32,6 +32,9 @@ def _status(name: str, unit: str, description: str, variable: str = "", kept: in
     return Reported(signal, variable or name, optional=name not in NEEDED, kept=kept)
 
 
+COMMAND_TIMEOUT = 0.3
+"""How long the arm moves on without a word from the driver, s."""
+DIGITAL_OUTPUTS = 8
 TIMESTAMP = "timestamp"
 """The variable that holds the controller's clock, s."""
 NEEDED = ("safety_mode", "runtime_state")

@@ -15,9 +15,18 @@ from typing import ClassVar, Self
 from labhil.driver import Counters, DeviceInfo, DriverSpec
 from labhil.errors import CommandRefusedError, ConnectError, DeviceError, DeviceResetError, ProtocolError
 from labhil.signals import Batch, Stream
-from labhil_ur5.client import COMMAND_TIMEOUT, DIGITAL_OUTPUTS
 from labhil_ur5.dashboard import Dashboard
-from labhil_ur5.declared import CLIENT, OUTPUTS, REPORTED, SPEED, TARGET, TARGET_COLUMNS, TIMESTAMP
+from labhil_ur5.declared import (
+    CLIENT,
+    COMMAND_TIMEOUT,
+    DIGITAL_OUTPUTS,
+    OUTPUTS,
+    REPORTED,
+    SPEED,
+    TARGET,
+    TARGET_COLUMNS,
+    TIMESTAMP,
+)
 from labhil_ur5.motion import Motion, MotionState
 from labhil_ur5.rtde import Receiver, Recipe
 from labhil_ur5.trouble import SAFETY_NORMAL, said_of

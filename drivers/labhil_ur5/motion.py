@@ -46,7 +46,7 @@ class Motion:
         self._heard_at = 0.0
         self._rest = b""
         self.state = MotionState.NONE
-        self.refusal = ""
+        self.refusal = self._fault = ""
         self.starts = 0
 
     def start(self) -> None:
@@ -66,7 +66,7 @@ class Motion:
             for pipe in (self._process.stdin, self._process.stdout):
                 assert pipe is not None
                 os.set_blocking(pipe.fileno(), False)
-            self._rest, self.refusal = b"", ""
+            self._rest, self.refusal, self._fault = b"", "", ""
             self._heard_at = time.monotonic()
             self.state = MotionState.STARTING
             self.starts += 1
@@ -86,11 +86,11 @@ class Motion:
         with self._writing:
             if self._process is None:
                 return ""
-            fault, closed = self._read(self._process)
+            closed = self._read(self._process)
             if closed:
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     self._process.wait(0.5)
-                return self._lost(fault or f"the client process died{self._how()}")
+                return self._lost(self._fault or f"the client process died{self._how()}")
             silence = START_TIMEOUT if self.state is MotionState.STARTING else SILENCE
             if time.monotonic() - self._heard_at > silence:
                 return self._lost(f"the client process said nothing for {silence:g} s{self._complaint()}")
@@ -137,29 +137,30 @@ class Motion:
                 stop_program(self._host)
             self._discard()
 
-    def _read(self, process: subprocess.Popen[bytes]) -> tuple[str, bool]:
+    def _read(self, process: subprocess.Popen[bytes]) -> bool:
+        """Take in what is there; whether the client has closed its output."""
         assert process.stdout is not None
-        fault = ""
         while True:
             try:
                 data = os.read(process.stdout.fileno(), 1 << 16)
             except BlockingIOError:
-                return fault, False
+                return False
             if not data:
-                return fault, True
+                return True
             self._heard_at = time.monotonic()
             *lines, self._rest = (self._rest + data).split(b"\n")
             for line in lines:
-                fault = self._take(line) or fault
+                self._take(line)
 
-    def _take(self, line: bytes) -> str:
+    def _take(self, line: bytes) -> None:
         try:
             said = json.loads(line)
         except ValueError:
-            return ""
+            return
         self.state = MotionState(said.get("state", self.state.value))
         self.refusal = str(said.get("refused", self.refusal))
-        return str(said.get("fault", ""))
+        # it is said before the output is closed, and perhaps read before that
+        self._fault = str(said.get("fault", self._fault))
 
     def _lost(self, why: str) -> str:
         self._discard()
