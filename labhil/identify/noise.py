@@ -8,12 +8,14 @@ is all there.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from labhil.identify.problem import Point, Problem
 from labhil.identify.window_states import fit_states
-from labhil.identify.windows import fit_windows
-from labhil.physics.model import Metric, Model, Record
+from labhil.identify.windows import fit_windows, noise_of
+from labhil.physics.model import Metric, Model, Record, Windows
 from labhil.signals import FloatArray
 
 SAMPLES = 24
@@ -29,10 +31,15 @@ MOST = 3.0
 def lasting_noise(model: Model, theta: FloatArray, record: Record, sigma: FloatArray) -> FloatArray:
     """Standard deviation of each channel's noise (channels,), at least ``sigma`` and at most 3 times that.
 
-    ``theta`` is the model's fitted vector. Inverse dynamics has no windows, and ``sigma`` is the answer.
+    ``theta`` is the model's fitted vector. Inverse dynamics has no windows: there it is the noise of what the
+    model leaves, which may be less than ``sigma``, since dry friction that turns is fast beside the filter.
     """
+    if model.metric is Metric.INVERSE_DYNAMICS:
+        every = Windows.of(record.spans)
+        left = record.outputs - model.simulate(theta, record, every, model.initial_states(record, every))
+        return noise_of(replace(record, outputs=left))
     length = min(SAMPLES * record.period, LONGEST * model.horizon)
-    if model.metric is Metric.INVERSE_DYNAMICS or length < SAMPLES / 2 * record.period:
+    if length < SAMPLES / 2 * record.period:
         return sigma
     windows = fit_windows(record, length)
     problem = Problem(model, record, windows, np.empty(0, dtype=np.int64), theta, sigma)

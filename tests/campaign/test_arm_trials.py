@@ -17,7 +17,7 @@ from labhil.campaign.trials.card import count
 from labhil.campaign.trials.compose import compose
 from labhil.campaign.trials.judge import judge
 from labhil.campaign.trials.make import Order, answers_beside, make_trials
-from labhil.campaign.trials.noise import TrueNoise, _filtered
+from labhil.campaign.trials.noise import TrueNoise
 from labhil.campaign.trials.run import run_trials
 from labhil.campaign.trials.said import said_in
 from labhil.campaign.trials.score import score_trials
@@ -131,7 +131,7 @@ def test_noise_after_a_filter_is_as_it_is_computed(correlation):
     for k in range(1, len(noise)):
         noise[k] = correlation * noise[k - 1] + np.sqrt(1.0 - correlation**2) * noise[k]
     passed = low_pass(noise)[200:-200]
-    stated = _filtered(low_pass, correlation, 40)
+    stated = low_pass.autocovariance(40, correlation)
     for apart in (0, 3, 6, 11):
         found = float(np.mean(passed[: len(passed) - apart] * passed[apart:]))
         assert found == pytest.approx(stated[apart], abs=0.03 * stated[0])
