@@ -24,6 +24,9 @@ SAMPLES = 24
 LONGEST = 1.0 / 8.0
 """Of the scored horizon that such a window may take."""
 
+THIRD = (20.0, -30.0, 12.0, -2.0)
+"""Variance of third differences by the covariance of the noise of rows 0 to 3 apart."""
+
 MOST = 3.0
 """Factor beyond which what is left is no noise."""
 
@@ -32,12 +35,13 @@ def lasting_noise(model: Model, theta: FloatArray, record: Record, sigma: FloatA
     """Standard deviation of each channel's noise (channels,), at least ``sigma`` and at most 3 times that.
 
     ``theta`` is the model's fitted vector. Inverse dynamics has no windows: there it is the noise of what the
-    model leaves, which may be less than ``sigma``, since dry friction that turns is fast beside the filter.
+    model leaves, without the motion, and it may be less than ``sigma``.
     """
     if model.metric is Metric.INVERSE_DYNAMICS:
         every = Windows.of(record.spans)
         left = record.outputs - model.simulate(theta, record, every, model.initial_states(record, every))
-        return noise_of(replace(record, outputs=left))
+        # of white noise 20; a filter takes away most where differences are the largest
+        return noise_of(replace(record, outputs=left)) * np.sqrt(THIRD[0] / np.dot(THIRD, record.alike))
     length = min(SAMPLES * record.period, LONGEST * model.horizon)
     if length < SAMPLES / 2 * record.period:
         return sigma

@@ -19,9 +19,6 @@ FEWEST_IN_WINDOW = 8
 """In a window that is fitted: its own state costs a few."""
 
 
-THIRD = (20.0, -30.0, 12.0, -2.0)
-"""Variance of third differences by the covariance of the noise of rows 0 to 3 apart."""
-
 STRAY = 0.02
 """Share of a converter's step by which what is rounded to it may stray: files round again."""
 
@@ -124,11 +121,9 @@ def noise_of(record: Record) -> FloatArray:
     """
     sigmas = []
     spans = record.spans
-    # of white noise 20; a filter takes away most where differences are the largest
-    share = float(np.dot(THIRD, record.alike))
     for column in record.outputs.T:
         third = np.concatenate([np.diff(column[first:last], n=3) for first, last in spans])
-        spread = float(np.sqrt(np.mean(np.square(third[np.abs(third) <= 8.0 * _robust(third)])) / share))
+        spread = float(np.sqrt(np.mean(np.square(third[np.abs(third) <= 8.0 * _robust(third)])) / 20.0))
         sigmas.append(max(spread, converter_step(column) / np.sqrt(12.0), 1e-12))
     return np.array(sigmas)
 
