@@ -218,7 +218,7 @@ def test_three_trials_of_an_arm_from_drawing_to_score(tmp_path):
         run_trials(folder, 1, silent)
         cards[name] = score_trials(folder, order.answers, silent)
     assert cards["null"].false_alarms == Share(0, 1)
-    assert cards["joint"].confusion == {("quadratic_viscous_friction[0]", "quadratic_viscous_friction[0]"): 1}
+    assert cards["joint"].confusion == {("torque_constant[3]", "torque_constant[3]"): 1}
     assert cards["joint"].joints == Share(1, 1)
     assert cards["payload"].confusion == {("payload", "payload"): 1}
     assert cards["payload"].naming["one effect"]["any"] == Share(1, 1)
