@@ -104,6 +104,9 @@ def structure_p_value(
     """
     record, c = problem.record, len(problem.sigma)
     slopes = problem.state_slopes(point, residuals)
+    # without states of their own windows are no breaks, only recordings are
+    rows = np.arange(len(problem.windows.rows))
+    owner = problem.windows.owner if slopes.shape[1] else np.searchsorted(problem.begins, rows, side="right")
     found = []
     for j in range(c):
         columns = [_past(record.inputs[:, k], problem) for k in _drivers(record, problem, j)]
@@ -111,7 +114,7 @@ def structure_p_value(
         lagged = np.zeros((len(residuals), own.shape[1]))
         lagged[j::c] = own - own.mean(axis=0)
         lagged = _orthogonal(problem, slopes, jacobian, lagged)
-        found.append(_regression_p_value(residuals[j::c], lagged[j::c], problem.windows.owner))
+        found.append(_regression_p_value(residuals[j::c], lagged[j::c], owner))
     return tuple(found)
 
 

@@ -39,7 +39,7 @@ MISNAMED = 1.3
 """The same of terms that were found: the right ones leave noise, wrong ones stand in for a nameless force."""
 
 LASTS = 1.1
-"""Factor by which noise on short windows must exceed that of single samples to count."""
+"""Factor by which noise as the baseline leaves it must differ from that of single samples to count."""
 
 
 def diagnose(
@@ -178,7 +178,7 @@ def _with_lasting_noise(data: Data, base: Fitted) -> tuple[Data, Fitted]:
     """The data with noise as the baseline leaves it on short windows, and the baseline in units of that."""
     seen = lasting_noise(data.model, base.theta, data.search, data.sigma)
     tested = lasting_noise(data.model, base.theta, data.test, data.test_sigma)
-    if np.all(seen < LASTS * data.sigma):
+    if np.all((seen < LASTS * data.sigma) & (LASTS * seen > data.sigma)):
         return replace(data, test_sigma=tested), base
     data = replace(data, sigma=seen, test_sigma=tested)
     return data, _fit_baseline(replace(data, begin=base.theta), base.terms)

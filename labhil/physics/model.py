@@ -16,6 +16,9 @@ from labhil.signals import FloatArray, Hold, IntArray
 BORDER = 20.0
 """Usual steps of time between two recordings that stand in one record."""
 
+WHITE = (1.0, 0.0, 0.0, 0.0)
+"""Correlation of white noise in rows 0 to 3 apart."""
+
 
 @dataclass(frozen=True, slots=True)
 class Begin:
@@ -95,6 +98,11 @@ class Record:
     def period(self) -> float:
         """Median time between samples, s."""
         return float(np.median(np.diff(self.t)))
+
+    @property
+    def alike(self) -> tuple[float, ...]:
+        """Correlation of the measurement noise in rows 0 to 3 apart, as far as it was filtered."""
+        return WHITE
 
     def channel(self, j: int) -> tuple[str, int | None]:
         """Signal and joint of output column ``j``."""

@@ -17,7 +17,7 @@ from labhil.campaign.trials.card import count
 from labhil.campaign.trials.compose import compose
 from labhil.campaign.trials.judge import judge
 from labhil.campaign.trials.make import Order, answers_beside, make_trials
-from labhil.campaign.trials.noise import TrueNoise, _filtered
+from labhil.campaign.trials.noise import TrueNoise
 from labhil.campaign.trials.run import run_trials
 from labhil.campaign.trials.said import said_in
 from labhil.campaign.trials.score import score_trials
@@ -25,10 +25,15 @@ from labhil.campaign.trials.seal import open_envelope, write_envelope
 from labhil.campaign.trials.secret import Secret
 from labhil.campaign.trials.show import show
 from labhil.campaign.trials.truth import model_values
+from labhil.diagnose.contradiction import structure_p_value
+from labhil.identify.fitted import covariances, fit_terms
+from labhil.identify.noise import lasting_noise
+from labhil.identify.windows import noise_of
 from labhil.physics.arm.motion import LowPass
 from labhil.physics.rigs import model_for
 from labhil.rig import parse_rig
 
+BASELINE = ("viscous_friction", "coulomb_friction", "sensor_offset")
 NOISE = TrueNoise((0.02,) * 6, (0.001,) * 6, 0.5)
 
 
@@ -55,8 +60,7 @@ def true_effect(term, joint, catalogue=True):
 
 def answer(*effects):
     floors = {f"actual_current_{j}": 0.01 for j in range(6)}
-    baseline = ("viscous_friction", "coulomb_friction", "sensor_offset")
-    return Answer("001", "ur5", {}, baseline, effects, {}, NOISE, floors, 1.0, {}, {})
+    return Answer("001", "ur5", {}, BASELINE, effects, {}, NOISE, floors, 1.0, {}, {})
 
 
 def said(*claims):
@@ -131,7 +135,7 @@ def test_noise_after_a_filter_is_as_it_is_computed(correlation):
     for k in range(1, len(noise)):
         noise[k] = correlation * noise[k - 1] + np.sqrt(1.0 - correlation**2) * noise[k]
     passed = low_pass(noise)[200:-200]
-    stated = _filtered(low_pass, correlation, 40)
+    stated = low_pass.autocovariance(40, correlation)
     for apart in (0, 3, 6, 11):
         found = float(np.mean(passed[: len(passed) - apart] * passed[apart:]))
         assert found == pytest.approx(stated[apart], abs=0.03 * stated[0])
@@ -155,7 +159,7 @@ def test_what_has_no_name_has_to_be_found_in_its_joint():
     assert not there.exact
 
 
-def test_a_confusion_of_many_joints_is_printed_pair_by_pair():
+def test_a_confusion_of_joints_is_printed_pair_by_pair():
     pairs = [(f"stribeck_friction[{j}]", f"{term}[{j}]") for j in range(6) for term in ("a", "b", "c")]
     card = count([judge(answer(), said(("a", 0)), lambda e, r: 0.0)], "ur5", True)
     out = StringIO()
@@ -164,10 +168,34 @@ def test_a_confusion_of_many_joints_is_printed_pair_by_pair():
     assert ["stribeck_friction[5]", "c[5]", "2"] in lines
 
 
-def test_the_truth_leaves_noise_as_it_is_known():
-    found = compose("ur5", "0", np.random.default_rng((6, 0)))
-    oracle = found.oracle
-    refit = oracle.refit(["viscous_friction", "coulomb_friction", "sensor_offset"])
+@pytest.fixture(scope="module")
+def null():
+    """An arm without any concealed effect."""
+    return compose("ur5", "0", np.random.default_rng((6, 0)))
+
+
+def test_the_noise_of_an_arm_is_read_from_what_its_model_leaves(null):
+    oracle = null.oracle
+    refit = oracle.refit(BASELINE)
+    stated = lasting_noise(oracle.model, refit.theta, oracle.test, noise_of(oracle.test))
+    assert stated == pytest.approx(oracle.left.rms, rel=0.15)
+
+
+def test_structure_is_looked_for_across_windows_without_states(null):
+    oracle = null.oracle
+    window = 0.375 * oracle.model.horizon
+    fitted = fit_terms(oracle.model, oracle.search, BASELINE, window, oracle.sigma)
+    residuals = fitted.solution.residuals
+    _, _, jacobian = covariances(fitted)
+    found = structure_p_value(fitted.problem, fitted.solution.point, residuals, jacobian)
+    # a window is shorter than the autoregression that whitens it
+    assert np.isfinite(found).all()
+    assert min(found) > 5e-4
+
+
+def test_the_truth_leaves_noise_as_it_is_known(null):
+    found, oracle = null, null.oracle
+    refit = oracle.refit(BASELINE)
     marks = [oracle.strength(refit.theta, joint) for joint in range(6)]
     assert marks == pytest.approx([1.0] * 6, abs=0.15)
     assert oracle.strength(refit.theta) == pytest.approx(np.mean(marks))
@@ -190,7 +218,7 @@ def test_three_trials_of_an_arm_from_drawing_to_score(tmp_path):
         run_trials(folder, 1, silent)
         cards[name] = score_trials(folder, order.answers, silent)
     assert cards["null"].false_alarms == Share(0, 1)
-    assert cards["joint"].confusion == {("quadratic_viscous_friction[0]", "quadratic_viscous_friction[0]"): 1}
+    assert cards["joint"].confusion == {("torque_constant[3]", "torque_constant[3]"): 1}
     assert cards["joint"].joints == Share(1, 1)
     assert cards["payload"].confusion == {("payload", "payload"): 1}
     assert cards["payload"].naming["one effect"]["any"] == Share(1, 1)

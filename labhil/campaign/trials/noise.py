@@ -7,14 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.signal import correlate
 
-from labhil.physics.arm.motion import LowPass, PreparedRecord
+from labhil.physics.arm.motion import PreparedRecord
 from labhil.physics.model import Record
 from labhil.signals import FloatArray, IntArray
-
-REACHES = 40
-"""How far a filter is followed, in its own reaches: there nothing is left of an impulse."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +41,8 @@ class TrueNoise:
             white = np.asarray(0.0 ** np.arange(len(record)), dtype=np.float64)
         else:
             places, judged = record.places, motion.judged[record.places]
-            coloured = _filtered(motion.low_pass, self.correlation, int(places[-1] - places[0]) + 1)
-            white = _filtered(motion.low_pass, 0.0, len(coloured))
+            coloured = motion.low_pass.autocovariance(int(places[-1] - places[0]) + 1, self.correlation)
+            white = motion.low_pass.autocovariance(len(coloured))
         return LeftNoise(self.sigma, rounded, coloured, white, places, judged)
 
     def to_json(self) -> dict[str, Any]:
@@ -97,18 +93,3 @@ class LeftNoise:
         kept = (1.0 - share) * self.coloured + share * self.white
         at = self.places[rows]
         return np.asarray((kept / self._variance[channel])[np.abs(at[:, None] - at)])
-
-
-def _filtered(low_pass: LowPass, correlation: float, n: int) -> FloatArray:
-    """Autocovariance (n,) of unit AR(1) noise after a zero-phase filter, by distance in samples."""
-    m = REACHES * low_pass.reach
-    impulse = np.zeros(2 * m + 1)
-    impulse[m] = 1.0
-    kernel = low_pass(impulse)
-    doubled = correlate(kernel, kernel)
-    ends = len(doubled) - 1
-    own = correlation ** np.abs(np.arange(-ends, ends + 1)) if correlation else np.r_[
-        np.zeros(ends), 1.0, np.zeros(ends)
-    ]  # fmt: skip
-    found = np.convolve(own, doubled, mode="same")[ends:]
-    return np.asarray(found[:n] if len(found) >= n else np.r_[found, np.zeros(n - len(found))])

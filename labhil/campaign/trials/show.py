@@ -7,9 +7,7 @@ from rich.table import Table
 
 from labhil.campaign.trials.card import Card
 from labhil.campaign.trials.judge import NONE, UNMODELLED
-
-WIDEST = 12
-"""Columns of a matrix that are printed side by side."""
+from labhil.physics.terms import unkeyed
 
 
 def show(card: Card, console: Console) -> None:
@@ -45,7 +43,7 @@ def lines(card: Card) -> list[str]:
 
 
 def _confusion(card: Card) -> Table:
-    if len({name for _, name in card.confusion}) > WIDEST:
+    if any(unkeyed(name)[1] is not None for pair in card.confusion for name in pair):
         return _pairs(card)
     table = _table("What is there (rows), what was named (columns)", "")
     named = sorted({name for _, name in card.confusion}, key=_last)
@@ -58,7 +56,7 @@ def _confusion(card: Card) -> Table:
 
 
 def _pairs(card: Card) -> Table:
-    """The same one pair a line, where there are more columns than fit: those of six joints."""
+    """The same one pair a line, where names are those of joints: more than fit side by side."""
     table = _table("What is there, what was named", "there", "named", "trials")
     for true, name in sorted(card.confusion, key=lambda pair: (_last(pair[0]), _last(pair[1]))):
         table.add_row(true, name, str(card.confusion[true, name]))

@@ -22,7 +22,7 @@ from scipy import signal
 
 from labhil.errors import RecordingError
 from labhil.kinds import JOINTS
-from labhil.physics.model import Record
+from labhil.physics.model import WHITE, Record
 from labhil.signals import FloatArray
 
 REST = 0.01
@@ -42,6 +42,9 @@ PLACE = "sample_of_motion"
 
 FEWEST = 30
 
+REACHES = 40
+"""How far a filter is followed, in its own reaches: nothing is left of an impulse there."""
+
 
 @dataclass(frozen=True, slots=True)
 class LowPass:
@@ -59,6 +62,20 @@ class LowPass:
         """Filter columns (n, …) along time."""
         sections = signal.butter(4, 2.0 * self.cut_off * self.period, output="sos")
         return np.asarray(signal.sosfiltfilt(sections, columns, axis=0))
+
+    def autocovariance(self, n: int, correlation: float = 0.0) -> FloatArray:
+        """What unit noise is like behind the filter, by distance in samples (n,), away from the ends.
+
+        ``correlation`` is that of neighbouring samples before it (AR(1)).
+        """
+        m = max(REACHES * self.reach, n)
+        impulse = np.zeros(2 * m + 1)
+        impulse[m] = 1.0
+        kernel = self(impulse)
+        doubled = np.correlate(kernel, kernel, mode="full")
+        apart = np.abs(np.arange(len(doubled)) - 2 * m)
+        found = signal.fftconvolve(correlation**apart, doubled, mode="same") if correlation else doubled
+        return np.asarray(found[2 * m : 2 * m + n])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,6 +134,16 @@ class PreparedRecord(Record):
         found = Record.followed_by(self, others)
         assert isinstance(found, PreparedRecord)
         return replace(found, motions=tuple(motion for each in every for motion in each.motions))
+
+    @property
+    def alike(self) -> tuple[float, ...]:
+        """Correlation of the noise in rows 0 to 3 apart: what the filter left of white noise."""
+        low_pass = self.motions[0].low_pass if self.motions else None
+        if low_pass is None or len(self) < FEWEST:
+            return WHITE
+        every = int(np.median(np.diff(self.places)))
+        left = low_pass.autocovariance(3 * every + 1)
+        return tuple((left[::every] / left[0]).tolist())
 
     @property
     def places(self) -> np.ndarray:
