@@ -54,11 +54,7 @@ def exported_stream(recording: Recording, name: str | None = None) -> StreamData
     if len(chosen) == 1:
         return next(iter(chosen.values()))
     nothing = "found none with samples" if recording.streams else f"found {recording.no_streams()}"
-    found = (
-        f"found {', '.join(chosen)}; choose with --stream or --device"
-        if chosen
-        else nothing
-    )
+    found = f"found {', '.join(chosen)}; choose with --stream or --device" if chosen else nothing
     raise RecordingError(f"{recording.path}: expected one stream to export, {found}")
 
 

@@ -244,6 +244,7 @@ def test_a_further_force_acts_in_the_recording_it_is_given_for():
     assert moved[900:].max() > 1e-4
 
 
+@pytest.mark.extended
 def test_one_recording_is_what_it_was():
     record = axis(3)
     rig = rig_of("axis")
@@ -354,6 +355,7 @@ def test_two_payloads_on_one_arm(lifted, name):
     assert values[shared] == pytest.approx(arm.TRUTH[shared], rel=0.05)
 
 
+@pytest.mark.extended
 def test_of_an_arm_of_unknown_inertia_all_recordings_tell(lifted, tmp_path):
     """Its own mass may pass for a payload; how much more it carries the second time is known."""
     (tmp_path / "links.toml").write_text(LENGTHS_ONLY)

@@ -133,15 +133,8 @@ def test_nothing_is_found_where_nothing_is(rig: str) -> None:
 
 
 # every rig has a kernel with one more force, and compiling one takes half a minute
-@pytest.mark.parametrize(
-    "kind",
-    [
-        "axis",
-        pytest.param("ball_beam", marks=pytest.mark.extended),
-        pytest.param("dc_motor", marks=pytest.mark.extended),
-        pytest.param("solenoid", marks=pytest.mark.extended),
-    ],
-)
+@pytest.mark.extended
+@pytest.mark.parametrize("kind", ["ball_beam", "axis", "dc_motor", "solenoid"])
 @pytest.mark.parametrize("acts", [Over.TIME, Over.POSITION])
 def test_no_force_changes_nothing(kind: str, acts: Over) -> None:
     """A force that is zero everywhere gives the same numbers to the last bit."""

@@ -177,6 +177,7 @@ def test_a_port_where_nobody_listens(start: Callable[[str], subprocess.Popen[str
     assert f"bench: {address}: cannot be opened: connection refused" in complaint
 
 
+@pytest.mark.extended
 def test_a_cable_that_is_pulled(start: Callable[[str], subprocess.Popen[str]], tmp_path: Path) -> None:
     """The device dies in the middle: what it said until then is kept, under its final name."""
     command = [*LABHIL, "twin", "ball_beam", "--seed", "2", "--speed", "5", "--wire", "tcp"]

@@ -44,6 +44,7 @@ def of_rig(record: Record) -> ModelUnderCurve:
     return ModelUnderCurve(model, kept(Over.POSITION, "position", record))
 
 
+@pytest.mark.extended
 def test_force_over_an_input_is_that_input_with_the_force_added() -> None:
     record = bench()
     curve = kept(Over.TIME, "drive_force", record)
@@ -60,6 +61,7 @@ def test_force_over_an_input_is_that_input_with_the_force_added() -> None:
     np.testing.assert_allclose(under, model.simulate(theta, pushed, windows, states), atol=1e-9)
 
 
+@pytest.mark.extended
 def test_curve_survives_its_file(tmp_path: Path) -> None:
     record = bench()
     under = of_rig(record)

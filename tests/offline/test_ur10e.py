@@ -92,6 +92,7 @@ def error(model, theta, record):
     return 100.0 * np.sqrt(np.sum(left**2, axis=0) / np.sum(record.outputs**2 * judged, axis=0))
 
 
+@pytest.mark.extended
 def test_held_out_errors_beside_the_published_figures(arm):
     record = arm(LEARNED)
     model = ArmModel(load_rig(RIG), record)

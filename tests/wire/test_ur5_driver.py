@@ -110,6 +110,7 @@ def until(driver, reached, command=None):
         driver.read(0.01)
 
 
+@pytest.mark.extended
 def test_it_listens_moves_and_stops(twin) -> None:
     """The short way through: what stands in `extended` in full."""
     with Ur5Driver(twin) as driver:
