@@ -55,7 +55,7 @@ device = "bench"
 signal = "servo_angle"
 excitation = "two_sine"
 frequencies = [0.23, 0.31]
-amplitude = 0.6
+amplitude = 0.4
 stabilise = {{ on = "ball_position", kp = 7.0, kd = 3.0 }}
 duration = {duration}
 """
