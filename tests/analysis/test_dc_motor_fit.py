@@ -40,6 +40,7 @@ def test_with_the_current_every_value_is_known():
         assert abs(rows[name].value - truth) < 4.5 * rows[name].std_error
 
 
+@pytest.mark.extended
 def test_from_speed_alone_a_scale_is_unknown_and_the_current_would_tell():
     record = record_of("speed")
     rig = default_rig("dc_motor")

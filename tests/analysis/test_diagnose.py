@@ -75,6 +75,7 @@ def test_what_is_not_there_is_excluded_down_to_little(null):
     assert [item.term for item in null.undecided] == ["sensor_offset"]
 
 
+@pytest.mark.extended
 def test_dry_friction_is_found_and_nothing_else(dry):
     assert dry.verdict == "missing_physics"
     assert {item.term for item in dry.missing} == {"coulomb_friction", "stribeck_friction"}
@@ -90,6 +91,7 @@ def test_dry_friction_is_found_and_nothing_else(dry):
         assert abs(row.value - truth[name]) < 5.0 * row.std_error, row
 
 
+@pytest.mark.extended
 def test_the_model_that_is_left_reaches_the_floor_on_data_it_never_saw(dry):
     assert dry.data == "test"
     assert dry.before.rmse > 10.0 * dry.before.noise_floor
@@ -97,6 +99,7 @@ def test_the_model_that_is_left_reaches_the_floor_on_data_it_never_saw(dry):
     assert modelled(dry) > 0.99
 
 
+@pytest.mark.extended
 def test_every_effect_that_is_named_is_supported_by_both_recordings(dry):
     for item in dry.missing:
         assert item.evidence.delta_bic < -10.0
@@ -107,6 +110,7 @@ def test_every_effect_that_is_named_is_supported_by_both_recordings(dry):
     assert order == sorted(order), "ordered by evidence"
 
 
+@pytest.mark.extended
 def test_the_stribeck_peak_lives_at_low_speed(dry):
     location = dry.location
     assert (location.channel, location.enters) == ("ball_position", "force")
@@ -118,6 +122,7 @@ def test_the_stribeck_peak_lives_at_low_speed(dry):
     assert all(0.0 <= begin < end <= 20.0 for begin, end in location.times)
 
 
+@pytest.mark.extended
 def test_the_contribution_of_a_term_is_its_law(dry):
     found = locate.contribution(dry.final_fit, "stribeck_friction")
     values = {row.name: row.value for row in dry.final}
@@ -258,6 +263,7 @@ def check_contract(data: dict[str, Any]) -> None:
         check(channel, CHANNEL)
 
 
+@pytest.mark.extended
 def test_the_json_is_the_contracts(null, dry):
     for diagnosis in (null, dry):
         check_contract(diagnosis_json(diagnosis, SOURCES))

@@ -121,6 +121,7 @@ def pseudo_terminal(say: Callable[[], bytes]) -> Iterator[str]:
         os.close(ours)
 
 
+@pytest.mark.extended
 def test_noise_on_a_serial_line(start: Callable[[str], subprocess.Popen[str]], tmp_path: Path) -> None:
     noise = random.Random(1)
     with pseudo_terminal(lambda: noise.randbytes(40)) as address:
@@ -129,6 +130,7 @@ def test_noise_on_a_serial_line(start: Callable[[str], subprocess.Popen[str]], t
     assert re.search(r"found \d+ or more bytes without one: ([0-9a-f]{2} ){16}", complaint)
 
 
+@pytest.mark.extended
 def test_a_serial_line_without_a_word(start: Callable[[str], subprocess.Popen[str]], tmp_path: Path) -> None:
     with pseudo_terminal(lambda: b"") as address:
         complaint = refused(start(address), tmp_path)

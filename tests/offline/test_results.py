@@ -111,6 +111,7 @@ def test_r2_is_one_less_the_share_of_squares_that_is_left(fit, shipped):
     assert score.max_abs_error == np.abs(score.errors).max()
 
 
+@pytest.mark.extended
 def test_a_fit_begins_at_the_model_that_it_is_given(fit, tmp_path):
     first, _ = fit("--terms", TERMS)
     (tmp_path / "fit.json").rename(tmp_path / "first.json")
@@ -154,6 +155,7 @@ def test_the_catalogue_is_json_that_names_every_default_term(labhil):
 
 
 @pytest.mark.parametrize("command", ["fit", "export", "import", "terms"])
+@pytest.mark.extended
 def test_offline_work_loads_no_bus_and_no_device(command: str, shipped: Path, tmp_path: Path) -> None:
     recording = str(shipped / "ball_beam_identify.mcap")
     (tmp_path / "rig.toml").write_text('[rig]\nkind = "ball_beam"\n')

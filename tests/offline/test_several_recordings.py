@@ -57,6 +57,7 @@ def fitted(labhil, tmp_path: Path, *arguments: object) -> tuple[dict[str, Any], 
     return json.loads((tmp_path / "fit.json").read_text(encoding="utf-8")), done.out
 
 
+@pytest.mark.extended
 def test_values_are_told_with_the_recording_that_they_belong_to(labhil, axis, tmp_path):
     a, b = axis("a"), axis("b")
     named = ("--per-recording", "moving_mass,constant_force")
@@ -82,6 +83,7 @@ def test_values_are_told_with_the_recording_that_they_belong_to(labhil, axis, tm
     assert labhil("report", "fit.json", "-o", "again.html").status == 0
 
 
+@pytest.mark.extended
 def test_a_fit_of_one_begins_a_fit_of_several_and_the_other_way_round(labhil, axis, tmp_path):
     a, b = axis("a"), axis("b")
     one, _ = fitted(labhil, tmp_path, a, *QUICKLY)

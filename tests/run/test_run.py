@@ -231,6 +231,7 @@ def test_a_port_that_is_not_there_is_bad_input(cli: Cli) -> None:
     ("fault", "message"),
     [("fault_reset_at", "booted again in the middle of the run"), ("fault_silence_at", "said nothing for")],
 )
+@pytest.mark.extended
 def test_a_device_that_fails_in_the_middle_keeps_what_was_recorded(
     cli: Cli, fault: str, message: str
 ) -> None:
@@ -343,6 +344,7 @@ def run_here(directory: Path, text: str, progress: Callable[[Progress], None] = 
     return run_experiment(parse_experiment(text, directory / "experiment.toml"), directory, progress)
 
 
+@pytest.mark.extended
 def test_two_devices_run_together_into_one_recording(tmp_path: Path) -> None:
     seen: list[Progress] = []
     result = run_here(tmp_path, two_devices(), seen.append)

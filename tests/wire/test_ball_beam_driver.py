@@ -85,6 +85,7 @@ def test_the_ball_rolls_the_way_the_beam_is_tilted(ball_beam_twin):
     assert position[-1] == pytest.approx(0.25, abs=0.003)
 
 
+@pytest.mark.extended
 def test_no_sample_is_lost_at_ten_times_the_speed(ball_beam_twin):
     with ball_beam_twin("pty", 10.0) as (address, _), BallBeamDriver(address) as driver:
         info = driver.connect()
@@ -236,6 +237,7 @@ def test_another_version_is_named():
     assert "expected protocol version 1, found 2" in message
 
 
+@pytest.mark.extended
 def test_a_silent_port_is_named():
     with impostor(lambda _: b"") as address, pytest.raises(ConnectError, match="nothing came"):
         BallBeamDriver(address).connect()
