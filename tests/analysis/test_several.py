@@ -260,6 +260,7 @@ def test_one_recording_is_what_it_was():
     )
 
 
+@pytest.mark.extended
 def test_the_joint_fit_is_the_weighted_mean_of_single_ones(three):
     """Values that are shared are known as well as from all data, those that are not as from their own."""
     rig, shared = rig_of("axis"), ["viscous_friction.coefficient", "coulomb_friction.level"]

@@ -227,6 +227,7 @@ def test_a_recording_cut_anywhere_is_exported_up_to_there_or_refused(
     assert len(kept) > 6, "most cuts leave whole chunks"
 
 
+@pytest.mark.extended
 def test_a_cut_recording_is_fitted_as_far_as_it_goes(labhil, tmp_path: Path, shipped: Path) -> None:
     whole = (shipped / "ball_beam_identify.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(whole[: 7 * len(whole) // 10])

@@ -33,6 +33,7 @@ def wandering(kind: str, n: int = 3000) -> np.ndarray:
     return np.asarray(np.abs(wave) if kind == "solenoid" else wave)
 
 
+@pytest.mark.extended
 def test_a_blocked_motor_is_a_coil_with_a_resistance_that_warms():
     parameters = QUIET_MOTOR | {"coulomb_friction.level": 1e6}
     seen = DcMotorPlant(parameters, ["coulomb_friction"]).simulate(np.full(101, 3.0))
@@ -97,6 +98,7 @@ def test_a_mass_that_a_slow_spring_pulls_sticks_and_slips_when_the_closed_form_s
     np.testing.assert_allclose(np.diff(rests), leap, rtol=0.01)
 
 
+@pytest.mark.extended
 def test_a_plunger_without_friction_is_a_mass_on_a_spring():
     parameters = QUIET_COIL | {"stop_low": -0.004}
     seen = SolenoidPlant(parameters).simulate(np.zeros(19))

@@ -363,7 +363,9 @@ def test_nothing_stands_where_a_sample_was_not_finite(tmp_path):
 
 def test_one_of_several_streams_is_chosen_by_name(tmp_path):
     recording = record(tmp_path / "a.mcap", np.ones((4, 5)), ("bench", "other"))
-    with pytest.raises(RecordingError, match=r"found /bench/state, /other/state; choose with --stream or --device"):
+    with pytest.raises(
+        RecordingError, match=r"found /bench/state, /other/state; choose with --stream or --device"
+    ):
         export(recording, tmp_path / "a.csv")
     assert export(recording, tmp_path / "a.csv", "other/state").is_file()
     with pytest.raises(RecordingError, match=r"expected a stream /othr/state \(did you mean '/other/state'"):

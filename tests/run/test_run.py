@@ -244,6 +244,7 @@ def test_a_device_that_fails_in_the_middle_keeps_what_was_recorded(
     assert kinds(recording, "bench")[-1] == kinds(recording, "run")[-1] == "failed"
 
 
+@pytest.mark.extended
 def test_garbage_in_the_middle_is_counted_and_survived(cli: Cli) -> None:
     done = cli.run(experiment(duration=4.0, twin=", set = { fault_garbage_at = 2.0 }"))
     assert done.returncode == 0, done.stderr
@@ -273,6 +274,7 @@ def garbage_server() -> Iterator[str]:
         thread.join()
 
 
+@pytest.mark.extended
 def test_garbage_on_the_line_is_bad_input(cli: Cli) -> None:
     with garbage_server() as address:
         done = cli.run(experiment(address=address))

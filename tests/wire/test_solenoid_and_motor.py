@@ -80,7 +80,8 @@ class TestMotor(DriverContract):
         return motor_twin
 
 
-@pytest.mark.parametrize("kind", [pytest.param("solenoid", marks=pytest.mark.extended), "dc_motor"])
+@pytest.mark.parametrize("kind", DRIVERS)
+@pytest.mark.extended
 def test_the_contract_in_short(kind, twin_of):
     class Contract(DriverContract):
         driver = DRIVERS[kind]

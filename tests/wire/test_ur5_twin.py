@@ -38,6 +38,7 @@ def twin() -> Iterator[tuple[str, Child]]:
 
 
 @needs_client
+@pytest.mark.extended
 def test_the_client_reads_moves_and_switches(twin: tuple[str, Child]) -> None:
     call(twin[0], *SHORT)
 
@@ -71,6 +72,7 @@ def test_what_makes_no_sense_is_answered_or_cut_off(twin: tuple[str, Child]) -> 
             client.next()
 
 
+@pytest.mark.extended
 def test_a_second_twin_at_the_same_address_says_what_to_do(twin: tuple[str, Child]) -> None:
     command = [sys.executable, "-m", "labhil", "twin", "ur5", "--host", twin[0]]
     done = subprocess.run(command, capture_output=True, text=True, timeout=90, check=False)
