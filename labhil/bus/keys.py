@@ -20,6 +20,9 @@ ARRIVED = "lab/@arrived"
 RUN = "@run"
 """Stands where a device's name does, for what the run itself is asked."""
 
+WORKER_PROGRESS, WORKER_RESULT = "lab/@worker/progress", "lab/@worker/result"
+"""Where a lab's worker says what it is doing, and what came of it, as JSON."""
+
 EVENT = "event"
 SETPOINT = "setpoint"
 

@@ -94,6 +94,19 @@ class Devices:
         at_once([host.stop for host in self._hosts])
 
 
+def host_config(device: DevicePlan, address: str, endpoint: str) -> HostConfig:
+    """What the host of a device needs to know."""
+    return HostConfig(
+        device.name,
+        device.section.plugin,
+        address,
+        device.rig.limits,
+        endpoint,
+        interlocks=device.rig.interlocks,
+        reconnect=device.section.reconnect,
+    )
+
+
 def at_once(actions: Sequence[Callable[[], object]]) -> list[LabhilError | None]:
     """Do all of this at the same time, and return what each of them raised (of ours), in order."""
     if not actions:

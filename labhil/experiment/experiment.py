@@ -7,7 +7,7 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
@@ -196,13 +196,10 @@ class TimedStep:
         return self.start + self.step.duration
 
 
-class Experiment(_Section):
-    """A whole experiment file; relative paths in it are relative to the directory of ``path``."""
+class WithDevices(_Section):
+    """A file that names devices; relative paths in it are relative to the directory of ``path``."""
 
-    experiment: ExperimentSection
     devices: dict[str, DeviceSection]
-    steps: tuple[Step, ...]
-    record: RecordSection = RecordSection()
     path: Path = Field(default=Path("experiment.toml"), exclude=True)
 
     @field_validator("devices")
@@ -215,6 +212,33 @@ class Experiment(_Section):
                     f"and none of {', '.join(RESERVED_NAMES)}"
                 )
         return value
+
+    def rig_of(self, device: str, kind: str) -> RigFile:
+        """Return the rig file of ``device``, or one that says no more than its ``kind``.
+
+        Raises RigFileError, and ExperimentFileError where the file is of another kind.
+        """
+        name = self.devices[device].rig
+        if name is None:
+            return default_rig(kind)
+        rig = load_rig(self.path.parent / name)
+        if rig.kind.name != kind:
+            raise ExperimentFileError(
+                f"{self.path}: devices.{device}.rig: {name} is of kind {rig.kind.name!r}, "
+                f"but plugin {self.devices[device].plugin!r} drives {kind!r}"
+            )
+        return rig
+
+
+Form = TypeVar("Form", bound=WithDevices)
+
+
+class Experiment(WithDevices):
+    """A whole experiment file."""
+
+    experiment: ExperimentSection
+    steps: tuple[Step, ...]
+    record: RecordSection = RecordSection()
 
     @model_validator(mode="after")
     def _steps_fit(self) -> Experiment:
@@ -243,22 +267,6 @@ class Experiment(_Section):
         """How long the steps take altogether, s of the devices' clocks."""
         return max(timed.end for timed in self.schedule())
 
-    def rig_of(self, device: str, kind: str) -> RigFile:
-        """Return the rig file of ``device``, or one that says no more than its ``kind``.
-
-        Raises RigFileError, and ExperimentFileError where the file is of another kind.
-        """
-        name = self.devices[device].rig
-        if name is None:
-            return default_rig(kind)
-        rig = load_rig(self.path.parent / name)
-        if rig.kind.name != kind:
-            raise ExperimentFileError(
-                f"{self.path}: devices.{device}.rig: {name} is of kind {rig.kind.name!r}, "
-                f"but plugin {self.devices[device].plugin!r} drives {kind!r}"
-            )
-        return rig
-
     def public_text(self) -> str:
         """Return the experiment as TOML without what a twin is made of: this is what a recording holds."""
         data = self.model_dump(mode="json", exclude_none=True)
@@ -278,6 +286,11 @@ def load_experiment(path: Path) -> Experiment:
 
 def parse_experiment(text: str, path: Path) -> Experiment:
     """Read the text of an experiment file; ``path`` serves messages and relative paths."""
+    return parse_devices(text, path, Experiment)
+
+
+def parse_devices(text: str, path: Path, form: type[Form]) -> Form:
+    """Read the text of a file that names devices; ExperimentFileError names the field."""
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -285,9 +298,9 @@ def parse_experiment(text: str, path: Path) -> Experiment:
     if "path" in data:
         raise ExperimentFileError(f"{path}: path: unknown key; did you mean record.path?")
     try:
-        return Experiment.model_validate({**data, "path": path})
+        return form.model_validate({**data, "path": path})
     except ValidationError as error:
-        raise ExperimentFileError(explain(error, path, Experiment)) from error
+        raise ExperimentFileError(explain(error, path, form)) from error
 
 
 def _refuse_overlaps(schedule: tuple[TimedStep, ...]) -> None:

@@ -13,7 +13,7 @@ from labhil.errors import ExperimentFileError, UnknownNameError
 from labhil.experiment.continuity import refuse_jumps
 from labhil.experiment.excitation.function import columns_of, sampled
 from labhil.experiment.excitation.spectrum import Spectrum, spectrum_of
-from labhil.experiment.experiment import TWIN, DeviceSection, Experiment, TimedStep
+from labhil.experiment.experiment import TWIN, DeviceSection, Experiment, TimedStep, WithDevices
 from labhil.plugins import load_driver, load_twin
 from labhil.rig import Interlock, Limit, RigFile
 from labhil.signals import FloatArray, Signal
@@ -86,7 +86,7 @@ def make_plan(experiment: Experiment) -> Plan:
     Raises ExperimentFileError, RigFileError or UnknownNameError.
     """
     schedule = experiment.schedule()
-    devices = tuple(_device_plan(experiment, name, schedule) for name in experiment.devices)
+    devices = tuple(device_plan(experiment, name, schedule) for name in experiment.devices)
     by_name = {device.name: device for device in devices}
     steps = tuple(_step_plan(experiment.path, timed, by_name[timed.step.device]) for timed in schedule)
     for device in devices:
@@ -94,7 +94,8 @@ def make_plan(experiment: Experiment) -> Plan:
     return Plan(experiment, devices, steps, experiment.duration)
 
 
-def _device_plan(experiment: Experiment, name: str, schedule: tuple[TimedStep, ...]) -> DevicePlan:
+def device_plan(experiment: WithDevices, name: str, schedule: tuple[TimedStep, ...] = ()) -> DevicePlan:
+    """Resolve a device: its driver, its rig file, its steps. Raises ExperimentFileError or RigFileError."""
     section = experiment.devices[name]
     try:
         spec = load_driver(section.plugin).spec

@@ -19,14 +19,13 @@ from labhil.bus.register import registered
 from labhil.bus.session import Bus, open_bus
 from labhil.errors import CommandRefusedError, EmergencyStopError, LabhilError, RunStoppedError, UsageError
 from labhil.experiment.control import RunControl, RunState
-from labhil.experiment.devices import Devices
+from labhil.experiment.devices import Devices, host_config
 from labhil.experiment.experiment import TWIN, Experiment
 from labhil.experiment.interruption import Interruption
 from labhil.experiment.plan import DevicePlan, Plan, make_plan
 from labhil.experiment.remote import offer_control
 from labhil.experiment.result import Progress, RunResult, answer_path, recording_path, result_of
 from labhil.experiment.twins import start_twin
-from labhil.service.messages import HostConfig
 from labhil.service.recorder import Recorder
 
 __all__ = [
@@ -162,17 +161,7 @@ class _Run:
                 if address == TWIN:
                     address = self._start_twin(device, twins)
                     self._look_at_requests()
-                devices.start_host(
-                    HostConfig(
-                        device.name,
-                        device.section.plugin,
-                        address,
-                        device.rig.limits,
-                        bus.endpoint,
-                        interlocks=device.rig.interlocks,
-                        reconnect=device.section.reconnect,
-                    )
-                )
+                devices.start_host(host_config(device, address, bus.endpoint))
             devices.connect(self._plan.devices, subscriptions, self._is_to_end)
         except RunStoppedError:
             self._look_at_requests()  # which knows why, and whether it is an error

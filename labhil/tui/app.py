@@ -20,12 +20,12 @@ from textual.widget import Widget
 from textual.widgets import DataTable, Footer, OptionList, SelectionList, Static, TabbedContent, TabPane
 
 from labhil.bus.latch import Latch
+from labhil.campaign.studies.jobs import Jobs
 from labhil.errors import LabhilError
 from labhil.service.emergency import Outcome
 from labhil.tui.devices import DevicesPane
 from labhil.tui.dialogs import Confirm, Tell
 from labhil.tui.experiment import ExperimentPane
-from labhil.tui.jobs import Jobs
 from labhil.tui.lab import Lab
 from labhil.tui.live import LivePane
 from labhil.tui.messages import RunSaid, ShelfRead, StartWanted, StudySaid, StudyWanted

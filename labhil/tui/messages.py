@@ -41,7 +41,7 @@ class StartWanted(Message):
 
 @dataclass
 class StudyWanted(Message):
-    """Somebody wants this to be worked out; ``task`` is a labhil.tui.study.Task."""
+    """Somebody wants this to be worked out; ``task`` is a labhil.campaign.studies.study.Task."""
 
     task: Any
 

@@ -13,11 +13,11 @@ from textual.events import Resize
 from textual.widgets import DataTable, Static
 from textual.widgets.data_table import CellDoesNotExist
 
+from labhil.campaign.studies.study import Task
 from labhil.tui.dialogs import Choose
 from labhil.tui.messages import StudyWanted
 from labhil.tui.recording import RecordingScreen
 from labhil.tui.shelf import Shelved, results
-from labhil.tui.study import Task
 from labhil.tui.words import count, duration, ended_look, size
 
 COLUMNS = (

@@ -15,11 +15,11 @@ from textual.containers import Container, Vertical, VerticalScroll
 from textual.widgets import DataTable, Static
 from textual.widgets.data_table import CellDoesNotExist
 
+from labhil.campaign.studies.curves import read_curves
+from labhil.campaign.studies.jobs import Job, Jobs
 from labhil.errors import LabhilError
 from labhil.report.html.schema import CurvePart, DiagnosisPart, FitPart, json_of, result_of
 from labhil.signals import FloatArray
-from labhil.tui.curves import read_curves
-from labhil.tui.jobs import Job, Jobs
 from labhil.tui.plot import Chart, Curve, Pen
 from labhil.tui.result_text import headline, result_renderable
 from labhil.tui.shelf import ResultFile, results

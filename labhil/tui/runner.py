@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from labhil.tui.process import Helper
+from labhil.campaign.studies.process import Helper
 
 OVER = ("idle", "finished", "failed")
 

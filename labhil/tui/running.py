@@ -12,12 +12,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from labhil.campaign.studies.process import on_further_lines, say, told_first
 from labhil.errors import CommandRefusedError, LabhilError
 from labhil.experiment.control import RunControl
 from labhil.experiment.experiment import load_experiment
 from labhil.experiment.result import Progress
 from labhil.experiment.run import run_experiment
-from labhil.tui.process import on_further_lines, say, told_first
 
 GONE = "the terminal UI that started the run is gone"
 

@@ -156,12 +156,3 @@ def experiments(folder: Path) -> list[ExperimentFile]:
         if isinstance(section, dict):
             found.append(ExperimentFile(path, str(section.get("name", path.stem)), is_packaged))
     return found
-
-
-def free_name(folder: Path, stem: str, suffix: str) -> Path:
-    """A path in ``folder`` that is not taken: ``stem.suffix``, ``stem-2.suffix``, …"""
-    path, number = folder / f"{stem}.{suffix}", 1
-    while path.exists():
-        number += 1
-        path = folder / f"{stem}-{number}.{suffix}"
-    return path

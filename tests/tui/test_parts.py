@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from labhil.campaign.studies.process import Helper
+from labhil.campaign.studies.study import Task, free_name
 from labhil.signals import Batch, Direction, Signal, Stream
 from labhil.tui.plot import Ticks, limits_of, round_step
-from labhil.tui.process import Helper
 from labhil.tui.ring import Ring, envelope, pieces
-from labhil.tui.shelf import Shelf, experiments, free_name, results
-from labhil.tui.study import Task
+from labhil.tui.shelf import Shelf, experiments, results
 from labhil.tui.watch import StreamWatch
 
 STREAM = Stream("state", (Signal("x", "m", Direction.OUTPUT),), 100.0)
@@ -106,7 +106,7 @@ def test_a_task_survives_the_way_to_its_process(tmp_path: Path) -> None:
 def test_a_study_of_what_is_not_there_fails_with_words(tmp_path: Path) -> None:
     said: list[dict[str, Any]] = []
     task = Task("export", (tmp_path / "nothing.mcap",))
-    helper = Helper("a study", "labhil.tui.study", task.to_json(), said.append)
+    helper = Helper("a study", "labhil.campaign.studies.study", task.to_json(), said.append)
     deadline = time.monotonic() + 60.0
     while helper.running and time.monotonic() < deadline:
         time.sleep(0.02)
@@ -120,7 +120,7 @@ def test_a_study_that_is_cancelled_leaves_nothing(folder: Path) -> None:
     before = sorted(folder.iterdir())
     said: list[dict[str, Any]] = []
     task = Task("diagnose", (folder / "ball_beam_identify.mcap",))
-    helper = Helper("a study", "labhil.tui.study", task.to_json(), said.append)
+    helper = Helper("a study", "labhil.campaign.studies.study", task.to_json(), said.append)
     deadline = time.monotonic() + 100.0
     while not any("fitting" in line.get("progress", "") for line in said) and time.monotonic() < deadline:
         time.sleep(0.02)

@@ -1,8 +1,9 @@
 """A fit, a diagnosis, a verification or an export in a process of its own.
 
-``python -m labhil.tui.study`` is told what to do in one line, says what it is doing (``{"progress": …}``)
-and at the end what came of it (``{"done": …}`` or ``{"failed": …}``). Results appear under their names
-only when they are complete, so it may be ended at any moment: files are as they were before, or whole.
+``python -m labhil.campaign.studies.study`` is told what to do in one line, says what it is doing
+(``{"progress": …}``) and at the end what came of it (``{"done": …}`` or ``{"failed": …}``). Results appear
+under their names only when they are complete, so it may be ended at any moment: files are as they were
+before, or whole.
 """
 
 from __future__ import annotations
@@ -17,9 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from labhil.campaign.studies.process import on_further_lines, say, told_first
 from labhil.errors import LabhilError
-from labhil.tui.process import on_further_lines, say, told_first
-from labhil.tui.shelf import free_name
 
 CANCELLED = 130
 
@@ -61,12 +61,12 @@ class Task:
 
 
 def progress(text: str) -> None:
-    """Tell the screen what is being done."""
+    """Tell whoever listens what is being done."""
     say({"progress": text})
 
 
 def do(task: Task) -> dict[str, Any]:
-    """Do it; return what the screen is told. Raises LabhilError."""
+    """Do it; return what is told at the end. Raises LabhilError."""
     first = task.recordings[0]
     stem = first.name.removesuffix(".part").removesuffix(".mcap")
     if task.kind == "export":
@@ -80,14 +80,14 @@ def do(task: Task) -> dict[str, Any]:
     for line in material.losses():
         progress(line)
     if task.kind == "fit":
+        from labhil.campaign.studies.curves import curves_of_fit
         from labhil.identify.fit import Options
         from labhil.report.study import fit_study
-        from labhil.tui.curves import curves_of_fit
 
         fitted = fit_study(material, start=task.model, options=Options(progress=progress))
         return {"done": str(_write(first.parent, stem, "fit", fitted.json, curves_of_fit(fitted)))}
+    from labhil.campaign.studies.curves import curves_of_diagnosis
     from labhil.report.study import diagnose_study
-    from labhil.tui.curves import curves_of_diagnosis
 
     found = diagnose_study(material, reference=task.model, progress=progress)
     return {"done": str(_write(first.parent, stem, "diagnosis", found.json, curves_of_diagnosis(found)))}
@@ -106,6 +106,15 @@ def _write(folder: Path, stem: str, kind: str, data: Any, curves: Mapping[str, A
     new = path.with_name(path.name + ".new")
     new.write_text(json.dumps(data, ensure_ascii=False, allow_nan=False, indent=1) + "\n", encoding="utf-8")
     new.replace(path)
+    return path
+
+
+def free_name(folder: Path, stem: str, suffix: str) -> Path:
+    """A path in ``folder`` that is not taken: ``stem.suffix``, ``stem-2.suffix``, …"""
+    path, number = folder / f"{stem}.{suffix}", 1
+    while path.exists():
+        number += 1
+        path = folder / f"{stem}-{number}.{suffix}"
     return path
 
 

@@ -1,7 +1,7 @@
-"""A process that works for the screen: lines of JSON out, lines of JSON in, gone when it is not needed.
+"""A process that works for another one: lines of JSON out, lines of JSON in, gone when it is not needed.
 
-What takes long or must not be disturbed (a run, a fit) never happens in the process of the screen. Where
-the screen dies, however that comes about, the end of its standard input tells such a process to end.
+What takes long or must not be disturbed (a run, a fit) never happens in the process of a screen or of a
+service. Where that dies, however that comes about, the end of its standard input tells such a process to end.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class Helper:
 
 
 def say(line: Mapping[str, Any]) -> None:
-    """Write a line for the screen, from within a helper; a screen that is gone does not read it."""
+    """Write a line, from within a helper; nobody reads it where whoever asked is gone."""
     try:
         print(json.dumps(line, allow_nan=False), flush=True)
     except OSError:
@@ -98,7 +98,7 @@ def on_further_lines(take: OnLine, end: Callable[[], None]) -> None:
                 take(said)
         end()
 
-    threading.Thread(target=listen, name="listen to the screen", daemon=True).start()
+    threading.Thread(target=listen, name="listen to who asked", daemon=True).start()
 
 
 def _parsed(line: str) -> dict[str, Any] | None:

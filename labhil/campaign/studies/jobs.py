@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from labhil.tui.process import Helper
-from labhil.tui.study import Task
+from labhil.campaign.studies.process import Helper
+from labhil.campaign.studies.study import Task
 
 CANCEL_PATIENCE = 1.0
-MODULE = "labhil.tui.study"
+MODULE = "labhil.campaign.studies.study"
 
 
 @dataclass(slots=True)
@@ -33,7 +33,7 @@ class Job:
 
 
 class Jobs:
-    """All studies of this screen. ``on_line`` gets (number, line) in threads of the jobs' own."""
+    """Studies of one screen or service. ``on_line`` gets (number, line) in threads of the jobs' own."""
 
     def __init__(self, on_line: Callable[[int, dict[str, Any]], object], clock: Callable[[], float]) -> None:
         self._on_line, self._clock = on_line, clock
@@ -52,7 +52,7 @@ class Jobs:
         return [job for job in self.all if job.state == "at work"]
 
     def take(self, number: int, line: dict[str, Any]) -> Job:
-        """Follow what a job says; called in the screen's thread."""
+        """Follow what a job says; called in one thread."""
         job = self.all[number]
         if job.state != "at work":
             return job

@@ -1,0 +1,64 @@
+"""``labhil serve``: devices, recorder and worker, from the first process to the last."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from importlib.resources import as_file, files
+from pathlib import Path
+
+from labhil.bus.register import check_loopback
+from labhil.bus.session import open_bus
+from labhil.campaign.worker import Worker
+from labhil.experiment.interruption import Interruption
+from labhil.experiment.lab import Lab, load_lab
+from labhil.experiment.lab_service import LabService, folder_of
+
+LOOK = 0.3
+"""How often the worker looks for something to do, s."""
+
+
+def serve_lab(
+    config: Path | None, folder: Path | None, connect: str | None, say: Callable[[str], None]
+) -> int:
+    """Serve until SIGINT, SIGTERM or SIGHUP; returns 0, or 1 where a device was lost on the way.
+
+    Prints the bus's endpoint. Raises ExperimentFileError, RigFileError or UsageError before anything starts.
+    """
+    lab = load_lab(config) if config is not None else _example()
+    # without a file nothing is known of where its user keeps things
+    place = folder_of(lab, folder if folder is not None or config is not None else Path())
+    endpoint = None if connect is None else check_loopback(connect)
+    with Interruption() as interrupted, open_bus(endpoint) as bus:
+        print(bus.endpoint, flush=True)
+        worker = Worker(place, lab.lab.analyse, bus, say)
+        done = threading.Event()
+        at_work = threading.Thread(target=_work, args=(worker, done), name="worker")
+        at_work.start()
+        service = LabService(lab, bus, place, say)
+        try:
+            if lab.devices:
+                service.run(interrupted)
+            else:
+                _wait(interrupted)
+        finally:
+            done.set()
+            at_work.join()
+            worker.close()
+    return 1 if service.failed else 0
+
+
+def _example() -> Lab:
+    with as_file(files("labhil.experiment") / "examples" / "lab.toml") as path:
+        return load_lab(path)
+
+
+def _work(worker: Worker, done: threading.Event) -> None:
+    while not done.wait(LOOK):
+        worker.look()
+
+
+def _wait(interrupted: Callable[[], bool]) -> None:
+    pause = threading.Event()
+    while not interrupted():
+        pause.wait(LOOK)

@@ -1,0 +1,150 @@
+"""Devices that stay up: their hosts on one bus, what they say recorded in one file after another.
+
+One device that fails keeps no other from going on. However a service ends, every device is brought to its
+safe state, the hosts end, the recording gets its name, the simulated devices are stopped.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+
+from labhil.bus.publish import publish_event
+from labhil.bus.register import registered
+from labhil.bus.session import Bus
+from labhil.errors import LabhilError, RunStoppedError, UsageError
+from labhil.experiment.devices import at_once, host_config
+from labhil.experiment.experiment import TWIN
+from labhil.experiment.lab import Lab
+from labhil.experiment.plan import DevicePlan, device_plan
+from labhil.experiment.twins import start_twin
+from labhil.service.hosts import HostProcess
+from labhil.service.recorder import Recorder
+
+LOOK = 0.2
+"""How often devices and the recording are looked after, s."""
+
+LAB = "lab"
+Say = Callable[[str], None]
+
+
+class LabService:
+    """The devices of a lab on a bus that is open already; ``folder`` is where recordings go."""
+
+    def __init__(self, lab: Lab, bus: Bus, folder: Path, say: Say) -> None:
+        self._lab, self._bus, self._folder, self._say = lab, bus, folder, say
+        self._plans = [device_plan(lab, name) for name in lab.devices]
+        self._hosts: dict[str, HostProcess] = {}
+        self._recorder: Recorder | None = None
+        self._began = 0.0
+        self.failed: dict[str, LabhilError] = {}
+
+    def run(self, ended: Callable[[], bool]) -> None:
+        """Serve until ``ended``; LabhilError where no device is left, or nothing can be recorded."""
+        names = [plan.name for plan in self._plans]
+        with ExitStack() as twins, registered(LAB, self._lab.lab.name, self._bus.endpoint, names):
+            try:
+                self._record()
+                for plan in self._plans:
+                    self._start(plan, twins, ended)
+                while not ended():
+                    time.sleep(LOOK)
+                    self._look_after()
+            except RunStoppedError:
+                return
+            finally:
+                self._stop()
+
+    def _start(self, plan: DevicePlan, twins: ExitStack, ended: Callable[[], bool]) -> None:
+        """Start a device and wait for it; one that cannot be had is told, and the others go on."""
+        try:
+            address = plan.section.address
+            if address == TWIN:
+                address = self._start_twin(plan, twins, ended)
+            host = HostProcess(host_config(plan, address, self._bus.endpoint))
+            self._hosts[plan.name] = host
+            host.wait_connected(ended)
+            self._say(f"{plan.name}: {plan.section.plugin} at {address} is up")
+        except RunStoppedError:
+            raise
+        except LabhilError as error:
+            self._lose(plan.name, error)
+
+    def _start_twin(self, plan: DevicePlan, twins: ExitStack, ended: Callable[[], bool]) -> str:
+        answer = self._folder / f"{self._lab.lab.name}.{plan.name}.twin.json"
+        section, directory = plan.section.twin, self._lab.path.parent
+        twin, address = start_twin(plan.name, plan.section.plugin, section, answer, ended, directory)
+        twins.callback(twin.stop)
+        return address
+
+    def _look_after(self) -> None:
+        for name, host in list(self._hosts.items()):
+            failure = host.failure()
+            if failure is not None:
+                self._lose(name, failure)
+        if self._recorder is not None and self._recorder.failure is not None:
+            raise self._recorder.failure
+        if self._recorder is not None and time.monotonic() - self._began > self._lab.lab.roll:
+            self._record()
+
+    def _lose(self, name: str, error: LabhilError) -> None:
+        """Go on without a device; raises its error where it was the last one."""
+        self.failed[name] = error
+        host = self._hosts.pop(name, None)
+        if host is not None:
+            host.stop()
+        self._say(f"{name}: {error}")
+        event = {"t_ns": time.time_ns(), "kind": "failed", "state": "failed", "message": str(error)}
+        publish_event(self._bus, name, event)
+        if len(self.failed) == len(self._plans):
+            raise error
+
+    def _record(self) -> None:
+        """Begin a recording, then end the one before it: a few samples are in both, none is in neither."""
+        if not self._lab.lab.record or not self._plans:
+            return
+        before = self._recorder
+        attachments = {
+            "rig.toml" if index == 0 else f"rig.{plan.name}.toml": plan.rig.text.encode()
+            for index, plan in enumerate(self._plans)
+        }
+        metadata = {"lab": {"name": self._lab.lab.name, "roll": repr(self._lab.lab.roll)}}
+        self._recorder = Recorder(self._bus, self._path(), attachments=attachments, metadata=metadata)
+        self._began = time.monotonic()
+        if before is not None:
+            self._say(f"recorded {before.finish('0', 'the next recording began').path}")
+
+    def _path(self) -> Path:
+        name = re.sub(r"[^\w.+-]+", "_", self._lab.lab.name)
+        wanted = self._folder / f"{name}-{time.strftime('%Y%m%dT%H%M%S')}.mcap"
+        path, number = wanted, 1
+        while path.exists() or path.with_name(path.name + ".part").exists():
+            number += 1
+            path = wanted.with_name(f"{wanted.stem}-{number}{wanted.suffix}")
+        return path
+
+    def _stop(self) -> None:
+        """Devices first, all at once; then what was recorded."""
+        for host in self._hosts.values():
+            host.tell_to_end()
+        at_once([partial(host.stop) for host in self._hosts.values()])
+        if self._recorder is not None:
+            summary = self._recorder.finish("0", "the service ended")
+            if any(stream.samples for stream in summary.streams):
+                self._say(f"recorded {summary.path}")
+            else:
+                summary.path.unlink()
+
+
+def folder_of(lab: Lab, given: Path | None) -> Path:
+    """Where recordings go: as asked for, or as the lab file says; UsageError where it cannot be made."""
+    folder = given if given is not None else lab.path.parent / lab.lab.folder
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"{folder}: expected a directory for recordings, found {error}") from error
+    return folder
