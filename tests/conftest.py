@@ -16,7 +16,7 @@ PATIENCE = 5.0
 # kept by the standard library for the life of the process, once a process pool was used
 KEPT_PROCESSES = ("resource_tracker", "forkserver")
 
-KEEPING_TIME = ("bus", "firmware", "matrix", "run", "wire")
+KEEPING_TIME = ("bus", "firmware", "matrix", "run", "tui", "wire")
 """Folders whose tests run devices and hosts in real time: never two of them at once."""
 
 
