@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from labhil.driver import DeviceInfo, DriverSpec
 from labhil.link import ChannelScale, Config, Hello
-from labhil.signals import FloatArray, Signal, Stream
+from labhil.signals import FloatArray, IntArray, Signal, Stream
 
 TURN = 1 << 16
 
@@ -90,9 +90,11 @@ class Scaler:
         return np.asarray((counts - self._zero) * self._scale)
 
     def _unwrapped(self, column: int, raw: NDArray[np.uint16]) -> FloatArray:
-        steps = np.diff(raw.astype(np.int64), prepend=self._stand.get(column, int(raw[0])) % TURN)
+        before = self._stand.get(column, int(raw[0])) % TURN
+        counted: IntArray = np.r_[before, raw.astype(np.int64)]
+        steps: IntArray = counted[1:] - counted[:-1]
         # the shorter way round is the one it went
-        steps = (steps + TURN // 2) % TURN - TURN // 2
+        steps = np.mod(steps + TURN // 2, TURN) - TURN // 2
         stands = self._stand.get(column, int(raw[0])) + np.cumsum(steps)
         self._stand[column] = int(stands[-1])
         return np.asarray(stands, dtype=np.float64)
