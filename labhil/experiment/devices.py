@@ -89,9 +89,14 @@ class Devices:
 
     def end_hosts(self) -> None:
         """End all hosts, which bring their devices to safety, and wait until they are gone."""
-        for host in self._hosts:
-            host.tell_to_end()
-        at_once([host.stop for host in self._hosts])
+        end_hosts(self._hosts)
+
+
+def end_hosts(hosts: Sequence[HostProcess]) -> None:
+    """End these hosts, which bring their devices to safety, and wait until they are gone."""
+    for host in hosts:
+        host.tell_to_end()
+    at_once([host.stop for host in hosts])
 
 
 def host_config(device: DevicePlan, address: str, endpoint: str) -> HostConfig:

@@ -6,21 +6,20 @@ safe state, the hosts end, the recording gets its name, the simulated devices ar
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 
 from labhil.bus.publish import publish_event
 from labhil.bus.register import registered
 from labhil.bus.session import Bus
 from labhil.errors import LabhilError, RunStoppedError, UsageError
-from labhil.experiment.devices import at_once, host_config
-from labhil.experiment.experiment import TWIN
+from labhil.experiment.devices import end_hosts, host_config
+from labhil.experiment.experiment import TWIN, RecordSection
 from labhil.experiment.lab import Lab
 from labhil.experiment.plan import DevicePlan, device_plan
+from labhil.experiment.result import free_path
 from labhil.experiment.twins import start_twin
 from labhil.service.hosts import HostProcess
 from labhil.service.recorder import Recorder
@@ -108,30 +107,20 @@ class LabService:
         if not self._lab.lab.record or not self._plans:
             return
         before = self._recorder
+        path = free_path(self._folder, RecordSection().path, self._lab.lab.name)
         attachments = {
             "rig.toml" if index == 0 else f"rig.{plan.name}.toml": plan.rig.text.encode()
             for index, plan in enumerate(self._plans)
         }
         metadata = {"lab": {"name": self._lab.lab.name, "roll": repr(self._lab.lab.roll)}}
-        self._recorder = Recorder(self._bus, self._path(), attachments=attachments, metadata=metadata)
+        self._recorder = Recorder(self._bus, path, attachments=attachments, metadata=metadata)
         self._began = time.monotonic()
         if before is not None:
             self._say(f"recorded {before.finish('0', 'the next recording began').path}")
 
-    def _path(self) -> Path:
-        name = re.sub(r"[^\w.+-]+", "_", self._lab.lab.name)
-        wanted = self._folder / f"{name}-{time.strftime('%Y%m%dT%H%M%S')}.mcap"
-        path, number = wanted, 1
-        while path.exists() or path.with_name(path.name + ".part").exists():
-            number += 1
-            path = wanted.with_name(f"{wanted.stem}-{number}{wanted.suffix}")
-        return path
-
     def _stop(self) -> None:
         """Devices first, all at once; then what was recorded."""
-        for host in self._hosts.values():
-            host.tell_to_end()
-        at_once([partial(host.stop) for host in self._hosts.values()])
+        end_hosts(list(self._hosts.values()))
         if self._recorder is not None:
             summary = self._recorder.finish("0", "the service ended")
             if any(stream.samples for stream in summary.streams):

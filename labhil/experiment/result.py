@@ -65,9 +65,13 @@ class RunResult:
 
 def recording_path(experiment: Experiment, out_dir: Path) -> Path:
     """Return where the recording goes; where that name is taken, a number is added."""
-    name = re.sub(r"[^\w.+-]+", "_", experiment.experiment.name)
-    start = time.strftime("%Y%m%dT%H%M%S")
-    wanted = out_dir / experiment.record.path.format(name=name, start=start)
+    return free_path(out_dir, experiment.record.path, experiment.experiment.name)
+
+
+def free_path(folder: Path, pattern: str, name: str) -> Path:
+    """Return ``pattern`` in ``folder`` with ``{name}`` and ``{start}`` filled in, and a number if taken."""
+    plain, start = re.sub(r"[^\w.+-]+", "_", name), time.strftime("%Y%m%dT%H%M%S")
+    wanted = folder / pattern.format(name=plain, start=start)
     path, number = wanted, 1
     while path.exists() or path.with_name(path.name + ".part").exists():
         number += 1

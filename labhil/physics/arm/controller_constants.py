@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labhil.kinds import JOINTS
+from labhil.physics.arm.grouped import memory
 from labhil.physics.model import Record
 from labhil.signals import FloatArray
 
@@ -28,6 +29,9 @@ POOREST = 0.05
 
 APART = 0.03
 """Relative difference from which stated constants are not the controller's."""
+
+LEAST_INDEPENDENT = 1e-3
+"""What planned currents of a slow controller leave is that slow, at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,11 +91,6 @@ def _of_joint(record: Record, joint: int) -> tuple[float, float] | None:
         return None
     left = current - columns @ shares
     inverse = float(shares[0] / size[0])
-    error = float(np.sqrt(_memory(left) * left.var() * np.linalg.inv(columns.T @ columns)[0, 0]) / size[0])
+    variance = memory(left, LEAST_INDEPENDENT) * left.var() * np.linalg.inv(columns.T @ columns)[0, 0]
+    error = float(np.sqrt(variance) / size[0])
     return (1.0 / inverse, error / inverse**2) if inverse > 0.0 and error < POOREST * inverse else None
-
-
-def _memory(residuals: FloatArray) -> float:
-    """By how much a variance grows because residuals remember their neighbours (first-order process)."""
-    rho = float(residuals[1:] @ residuals[:-1]) / max(float(residuals @ residuals), 1e-300)
-    return (1.0 + rho) / max(1.0 - rho, 1e-3) if rho > 0.0 else 1.0

@@ -200,8 +200,11 @@ def significant(equations: NormalEquations, candidates: int, memory: float) -> l
         del chosen[weakest]
 
 
-def memory(residuals: FloatArray) -> float:
-    """By how much variances grow because residuals (n, 6) remember their neighbours (first-order process)."""
+def memory(residuals: FloatArray, least: float = 0.05) -> float:
+    """By how much variances grow because residuals (n, …) remember their neighbours (first-order process).
+
+    No more than the residuals of a process whose correlation is 1 − ``least``.
+    """
     power = float(np.sum(residuals**2))
     rho = float(np.sum(residuals[1:] * residuals[:-1])) / max(power, 1e-300)
-    return (1.0 + rho) / max(1.0 - rho, 0.05) if rho > 0.0 else 1.0
+    return (1.0 + rho) / max(1.0 - rho, least) if rho > 0.0 else 1.0
