@@ -25,7 +25,7 @@ from labhil.codec import LAYOUT_VERSION, Codec, stamps_of, stream_to_json
 from labhil.errors import ProtocolError, RecordingError, RecordingFailedError
 from labhil.signals import Batch, Stream
 
-FLUSH_INTERVAL = 0.3
+FLUSH_INTERVAL = 0.2
 """Seconds between two flushes; what a killed process loses at most."""
 
 SMALLEST_FREE_SPACE = 16 * 1024 * 1024

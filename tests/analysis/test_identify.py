@@ -44,6 +44,7 @@ def fitted(model: BallBeamModel, acquire):
     return fit(model, record, TERMS, test=test)
 
 
+@pytest.mark.extended
 def test_the_truth_is_recovered_within_its_errors(fitted):
     for row in fitted.estimates:
         assert abs(row.value - TRUTH[row.name]) < 5.0 * row.std_error, row

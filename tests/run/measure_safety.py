@@ -274,7 +274,7 @@ CASES: dict[str, tuple[Callable[[Relay, Fault], float], Fault, str]] = {
     "cable pulled": (with_a_seat, pull_cable, "the device's own watchdog, 300 ms"),
     "bus session closed": (with_a_seat, close_session, "the host's watchdog"),
     "run killed (controller and recorder)": (with_a_run, kill_run, "the host, whose standard input ends"),
-    "recorder's disk full": (with_a_run, fill_disk, "the run; the disk is tried every 300 ms"),
+    "recorder's disk full": (with_a_run, fill_disk, "the run; the disk is tried every 200 ms"),
     "Ctrl+C": (with_a_run, interrupt_run, "the run; looked at every 100 ms"),
     "emergency stop by the bus": (with_a_seat, press_by_bus, "the host"),
     "emergency stop by its file": (with_a_seat, press_by_file, "the host; looked at every 50 ms"),

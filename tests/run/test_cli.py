@@ -94,6 +94,7 @@ def test_a_table_becomes_a_recording_and_a_table_again(tmp_path: Path) -> None:
     assert set(lines[0].split(",")) == {"t", "servo_angle", "ball_position"}
 
 
+@pytest.mark.extended
 def test_a_run_loads_nothing_of_the_analysis(tmp_path: Path) -> None:
     example = files("labhil.experiment") / "examples"
     text = (example / "ball_beam_test.toml").read_text().replace("duration = 60.0 ", "duration = 1.0 ")

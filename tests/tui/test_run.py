@@ -75,6 +75,7 @@ def kinds(recording: Recording, device: str) -> list[str]:
     ]
 
 
+@pytest.mark.extended
 def test_two_keys_start_the_first_experiment_which_can_be_paused_resumed_and_stopped(bench: Path) -> None:
     async def drive() -> None:
         with Lab() as lab:
