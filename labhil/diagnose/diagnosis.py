@@ -14,10 +14,11 @@ from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.answer import Change, Diagnosis, Undecided
 from labhil.diagnose.contradiction import structure_p_value
 from labhil.diagnose.evidence import bic, effective_samples
+from labhil.diagnose.found import Found
 from labhil.diagnose.intake import Fault, faults_of, usable
 from labhil.diagnose.judge import NEEDED_BIC, Data
 from labhil.diagnose.load import with_load
-from labhil.diagnose.search import Found, search
+from labhil.diagnose.search import search
 from labhil.diagnose.unmodelled import Unmodelled, unmodelled
 from labhil.identify.fitted import Fitted, climb, covariances, start_theta
 from labhil.identify.noise import lasting_noise

@@ -8,19 +8,17 @@ support.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
-import numpy as np
-
-from labhil.diagnose.evidence import Evidence, bic, effective_samples, heldout_gain, search_p_value
-from labhil.diagnose.judge import NEEDED_BIC, Data, compare, supported
-from labhil.diagnose.screen import Candidate, Progress, Screen, candidates, rank
-from labhil.identify.fitted import WORST_GROWTH, Fitted, climb, covariances, fit_terms
-from labhil.identify.intervals import quantile
-from labhil.identify.score import Score
-from labhil.physics.model import Model, index_of
+from labhil.diagnose.evidence import effective_samples, search_p_value
+from labhil.diagnose.found import Found, Trail
+from labhil.diagnose.judge import Data, compare, supported
+from labhil.diagnose.refit import confirm, finish_best, refit
+from labhil.diagnose.screen import Candidate, Progress, candidates, rank
+from labhil.diagnose.weigh import pruned, relevant, supported_only, swapped
+from labhil.identify.fitted import WORST_GROWTH, Fitted, climb
 
 SETTLED = 1.05
 """A fit whose residuals are at most this much above the noise has found what it could."""
@@ -37,88 +35,6 @@ CONFIRMED_PAIRS = 3
 STILL_NOISY = 1.15
 """Residuals this much above the noise say that something is still missing."""
 
-RELEVANT, RELEVANT_BESIDE = 0.05, 0.5
-"""A term has to explain this share of the baseline's squared residuals beyond noise, or this of what is left.
-
-On precise recordings of real mechanisms there is always a further term that chance does not explain.
-"""
-
-WEIGHED, WEIGHED_WIDELY = (2, 0.5), (5, 0.1)
-"""How many rivals are tried in the place of each found term, and what share of what its absence leaves they
-have to promise: on long windows, where a projection says less, more of them and with less."""
-
-ROUGHLY = 1e-4
-"""Share of the cost by which a step has to lower it while candidates are compared: part of a BIC unit."""
-
-LEADING = 0.4
-"""Scouts that stay behind the best by more than this share of what it gained are not refitted to the end."""
-
-FINALISTS = 3
-"""How many of them are refitted to the end where much is still unexplained."""
-
-HOPELESS = 3.0
-"""A fit whose squared residuals stay above this many times those of the model to beat is not finished."""
-
-RIVAL_BIC = 10.0
-"""A rival within this stays on the list: it is under five nats behind."""
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """One accepted addition with its evidence; ``p_search`` is corrected for all candidates looked at.
-
-    ``told``: it explains enough to be worth telling, and a size of it is told from zero.
-    """
-
-    terms: tuple[str, ...]
-    evidence: Evidence
-    p_search: float
-    told: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Rival:
-    """A term that would do about as well in the place of another."""
-
-    term: str
-    instead_of: str
-    delta_bic: float
-
-
-@dataclass(frozen=True, slots=True)
-class Found:
-    """Where a search ended; ``errors`` are standard errors by key that its fits by themselves cannot know."""
-
-    baseline: Fitted
-    final: Fitted
-    missing: tuple[Step, ...]
-    rivals: tuple[Rival, ...]
-    p_value: float
-    looks: int
-    errors: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(slots=True)
-class Trail:
-    """Where a search stands: the best model so far, p values of its steps, rivals of its terms.
-
-    ``been`` are the sets of terms that it stood at, and does not go back to.
-    """
-
-    current: Fitted
-    p_values: list[float]
-    rivals: tuple[Rival, ...] = ()
-    been: set[frozenset[str]] = field(default_factory=set)
-
-    def go(self, fitted: Fitted) -> bool:
-        """Stand there from now on; False, and stay, where it has been before."""
-        terms = frozenset(fitted.terms)
-        if terms in self.been:
-            return False
-        self.been.add(terms)
-        self.current = fitted
-        return True
-
 
 def search(data: Data, baseline: Fitted, progress: Progress) -> Found:
     """Look for missing terms, beginning at a fitted baseline: on short windows, then on longer ones.
@@ -134,7 +50,7 @@ def search(data: Data, baseline: Fitted, progress: Progress) -> Found:
             progress("refitting on longer windows")
             data, baseline = hunt.follow_on_longer_windows(trail)
             trail.current = hunt.pruned(data, trail.current)
-    current, kept = _supported_only(data, baseline, trail.current, looks)
+    current, kept = supported_only(data, baseline, trail.current, looks)
     rivals = tuple(r for r in trail.rivals if r.instead_of in current.terms)
     # of the first step when something was found, else of the last, which found nothing to add
     p_value = trail.p_values[0 if kept else -1] if trail.p_values else 1.0
@@ -171,7 +87,7 @@ class Hunt:
             if accepted is None and trail.current.noise > STILL_NOISY:
                 rest = [candidate.group for candidate in ranked[CONFIRMED:]]
                 accepted, _ = self._forward(trail.current, rest)
-            if accepted is None or not _relevant(self.baseline, trail.current, accepted):
+            if accepted is None or not relevant(self.baseline, trail.current, accepted):
                 return
             accepted = refit(self.data, accepted, accepted.terms, (), thorough=True)
             if not trail.go(self.pruned(self.data, accepted)):
@@ -202,17 +118,15 @@ class Hunt:
 
     def pruned(self, data: Data, current: Fitted) -> Fitted:
         """Without the found terms that these data no longer need."""
-        return _prune(data, current, self.base, self.progress)
+        return pruned(data, current, self.base, self.progress)
 
     def _reach(self, share: float) -> float:
         return min(share * self.data.window, self.data.search.longest)
 
     def _swapped(self, trail: Trail, *, widely: bool) -> bool:
         """Whether a rival took the place of a found term."""
-        swapped, trail.rivals = _swap(
-            self.data, trail, self.base, self.executor, self.progress, widely=widely
-        )
-        return swapped is not trail.current and trail.go(swapped)
+        best, trail.rivals = swapped(self.data, trail, self.base, self.executor, self.progress, widely=widely)
+        return best is not trail.current and trail.go(best)
 
     def _added(self, trail: Trail, ranked: Sequence[Candidate], pairs: Sequence[Candidate]) -> Fitted | None:
         """The best supported addition of those that promise most."""
@@ -232,7 +146,7 @@ class Hunt:
         self.progress(f"refitting {', '.join(' + '.join(group) for group in groups)}")
         trials = confirm(self.data, current, groups, self.executor)
         if current.noise > STILL_NOISY:
-            trials = _finish_best(self.data, trials, self.executor)
+            trials = finish_best(self.data, trials, self.executor)
         return _first_accepted(self.data, current, trials, self.looks), trials
 
 
@@ -252,81 +166,6 @@ def _onward(data: Data, fitted: Fitted) -> Fitted:
     return min(onward, anew, key=lambda candidate: candidate.solution.cost)
 
 
-def without(model: Model, terms: Sequence[str], term: str) -> tuple[str, ...]:
-    """These terms less one and what builds on it."""
-    return tuple(t for t in terms if t != term and term not in model.terms[t].with_terms)
-
-
-def confirm(
-    data: Data,
-    current: Fitted,
-    groups: Sequence[tuple[str, ...]],
-    executor: Executor,
-    hopeless: float = float("inf"),
-) -> list[Fitted]:
-    """Refit candidates, best first by BIC: a few steps each, and to the end where that promises most."""
-
-    def scout(group: tuple[str, ...]) -> Fitted:
-        return refit(data, current, (*current.terms, *group), group, hopeless=0.0, tolerance=ROUGHLY)
-
-    def finish(trial: Fitted) -> Fitted:
-        if trial.solution.converged or trial.solution.cost > hopeless:
-            return trial
-        return refit(data, trial, trial.terms, (), tolerance=ROUGHLY)
-
-    scouts = list(executor.map(scout, groups))
-    if not scouts:
-        return []
-    effective = min(effective_samples(t) for t in scouts)
-    marks = [bic(trial, effective) for trial in scouts]
-    within = min(marks) + max(NEEDED_BIC, LEADING * (bic(current, effective) - min(marks)))
-    leading = [trial for trial, mark in zip(scouts, marks, strict=True) if mark <= within]
-    others = [trial for trial, mark in zip(scouts, marks, strict=True) if mark > within]
-    trials = [*executor.map(finish, leading), *others]
-    effective = min(effective_samples(t) for t in trials)
-    return sorted(trials, key=lambda trial: bic(trial, effective))
-
-
-def _finish_best(data: Data, trials: Sequence[Fitted], executor: Executor) -> list[Fitted]:
-    """Refit the best few with a second chance for outlying windows, and order them anew."""
-    leading = trials[:FINALISTS]
-    finished = list(executor.map(lambda t: refit(data, t, t.terms, (), thorough=True), leading))
-    effective = min(effective_samples(t) for t in finished)
-    return sorted(finished, key=lambda trial: bic(trial, effective))
-
-
-def refit(
-    data: Data,
-    current: Fitted,
-    terms: Sequence[str],
-    fresh: Sequence[str],
-    *,
-    thorough: bool = False,
-    hopeless: float = float("inf"),
-    tolerance: float = 1e-6,
-) -> Fitted:
-    """Fit ``terms`` from where a fit stands; those in ``fresh`` begin at each of their own starts."""
-    start = current.theta.copy()
-    for i, parameter in enumerate(data.model.parameters):
-        if parameter.term is not None and parameter.term not in terms:
-            start[i] = parameter.neutral
-    return fit_terms(
-        data.model,
-        data.search,
-        terms,
-        data.window,
-        data.sigma,
-        start=start,
-        states=current.solution.point.states,
-        new_terms=fresh,
-        iterations=25,
-        tolerance=tolerance,
-        thorough=thorough,
-        hopeless=hopeless,
-        held=data.held,
-    )
-
-
 def _first_accepted(data: Data, current: Fitted, trials: Sequence[Fitted], looks: int) -> Fitted | None:
     """The best trial that both search and held-out data support."""
     before = data.judge(current.theta)
@@ -334,130 +173,3 @@ def _first_accepted(data: Data, current: Fitted, trials: Sequence[Fitted], looks
         if supported(*compare(data, current, trial, before, looks)):
             return trial
     return None
-
-
-def _swap(
-    data: Data, trail: Trail, base: frozenset[str], executor: Executor, progress: Progress, *, widely: bool
-) -> tuple[Fitted, tuple[Rival, ...]]:
-    """Try the best-screened rivals in the place of each found term; keep what both kinds of data prefer."""
-    current, rivals = trail.current, list[Rival]()
-    for term in [t for t in current.terms if t not in base]:
-        if term not in current.terms:
-            continue
-        reduced = _without(data, current, term)
-        absent = [group for group in candidates(data.model, reduced.terms) if term not in group]
-        groups = [group for group in absent if group[-1] not in current.terms]
-        groups = _hopeful(data, current, reduced, groups, executor, *(WEIGHED_WIDELY if widely else WEIGHED))
-        if not groups:
-            continue
-        progress(f"weighing {', '.join(group[-1] for group in groups)} instead of {term}")
-        effective, scores = effective_samples(current), data.judge(current.theta)
-        for trial in confirm(data, reduced, groups, executor, HOPELESS * current.solution.cost)[:FINALISTS]:
-            rival, delta = trial.terms[-1], bic(trial, effective) - bic(current, effective)
-            new = frozenset(trial.terms) not in trail.been
-            if new and _preferred(scores, data.judge(trial.theta), delta):
-                rivals.append(Rival(term, rival, -delta))
-                current = trial
-                break
-            rivals.append(Rival(rival, term, delta))
-    return current, tuple(r for r in rivals if abs(r.delta_bic) < RIVAL_BIC)
-
-
-def _hopeful(
-    data: Data,
-    current: Fitted,
-    reduced: Fitted,
-    groups: Sequence[tuple[str, ...]],
-    executor: Executor,
-    most: int,
-    share: float,
-) -> list[tuple[str, ...]]:
-    """The groups that promise most beside the reduced model.
-
-    At most so many, and at least this share of what the absence of the term in question leaves.
-    """
-    screen = Screen.of(data, reduced)
-    columns = list(executor.map(screen.columns_of, groups))
-    promises = [screen.promise([own], group) for own, group in zip(columns, groups, strict=True)]
-    wanted = share * (1.0 - current.solution.cost / reduced.solution.cost)
-    return [groups[i] for i in np.argsort(promises)[::-1][:most] if promises[i] > wanted]
-
-
-def _preferred(before: Sequence[Score], after: Sequence[Score], delta_bic: float) -> bool:
-    """Whether search and held-out data together prefer ``after``: what the one cannot tell the other may."""
-    pairs = zip(before, after, strict=True)
-    most_telling = max((heldout_gain(b, a)[0] for b, a in pairs), key=abs)
-    return delta_bic - 2.0 * most_telling < 0.0
-
-
-def _relevant(baseline: Fitted, before: Fitted, after: Fitted) -> bool:
-    """Whether a step explains enough of what the baseline leaves unexplained."""
-    at_first, left = (fitted.solution.cost - fitted.dof for fitted in (baseline, before))
-    return before.solution.cost - after.solution.cost > min(RELEVANT * at_first, RELEVANT_BESIDE * left)
-
-
-def _significant(fitted: Fitted, term: str) -> bool:
-    """Whether a size of this term is told from zero; one with a shape is judged by its evidence alone."""
-    parameters = fitted.problem.model.terms[term].parameters
-    if any(p.shape for p in parameters):
-        return True
-    robust, _, _ = covariances(fitted)
-    places = index_of(fitted.problem.model.parameters)
-    free = fitted.problem.free.tolist()
-    own = [free.index(places[p.key]) for p in parameters if places[p.key] in free]
-    values, errors = fitted.theta[fitted.problem.free[own]], np.sqrt(np.diag(robust)[own])
-    return bool(np.any(np.abs(values) > quantile() * errors))
-
-
-def _without(data: Data, current: Fitted, term: str) -> Fitted:
-    """The model refitted without a term and what builds on it, unless that is hopelessly worse."""
-    terms = without(data.model, current.terms, term)
-    return refit(data, current, terms, (), hopeless=HOPELESS * current.solution.cost)
-
-
-def _prune(data: Data, current: Fitted, base: frozenset[str], progress: Progress) -> Fitted:
-    """Remove found terms that the search data no longer need."""
-    # what builds on others goes first, so that these can go after it; two weak ones must not both go
-    effective = effective_samples(current)
-    allowed = bic(current, effective) - NEEDED_BIC
-    found = [t for t in current.terms if t not in base]
-    if len(found) < 2:
-        return current
-    for term in sorted(found, key=lambda t: -len(data.model.terms[t].with_terms)):
-        progress(f"is {term} still needed")
-        if any(term in data.model.terms[t].with_terms for t in current.terms):
-            continue
-        reduced = _without(data, current, term)
-        if bic(reduced, effective) < allowed:
-            current = reduced
-    return current
-
-
-def _supported_only(
-    data: Data, baseline: Fitted, final: Fitted, looks: int
-) -> tuple[Fitted, tuple[Step, ...]]:
-    """Take out, weakest first, whatever search and held-out data do not both support in the last fit."""
-    while True:
-        steps = _steps_of(data, baseline, final, looks)
-        weak = [step for step in steps if not (step.told and supported(step.evidence, step.p_search))]
-        if not weak:
-            return final, steps
-        final = refit(data, final, without(data.model, final.terms, weak[-1].terms[0]), (), thorough=True)
-
-
-def _steps_of(data: Data, baseline: Fitted, final: Fitted, looks: int) -> tuple[Step, ...]:
-    """Evidence for each term of the final model: what is lost when it alone is taken out.
-
-    A term that only carries others, its own sizes at zero, is none that was found.
-    """
-    kept = []
-    places = index_of(data.model.parameters)
-    for term in [t for t in final.terms if t not in baseline.terms]:
-        sizes = [p.key for p in data.model.terms[term].parameters if not p.shape]
-        if all(final.theta[places[key]] == 0.0 for key in sizes):
-            continue
-        reduced = _without(data, final, term)
-        evidence, p_search = compare(data, reduced, final, data.judge(reduced.theta), looks)
-        told = _relevant(baseline, reduced, final) and _significant(final, term)
-        kept.append(Step((term,), evidence, p_search, told))
-    return tuple(sorted(kept, key=lambda step: step.evidence.delta_bic))

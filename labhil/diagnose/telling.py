@@ -10,9 +10,9 @@ from scipy import stats
 
 from labhil.diagnose import locate
 from labhil.diagnose.answer import Curve, Excluded, Missing, RivalTerm, Undecided
+from labhil.diagnose.found import Found, Rival, Step
 from labhil.diagnose.judge import Data
 from labhil.diagnose.screen import residuals_at
-from labhil.diagnose.search import Found, Rival, Step
 from labhil.diagnose.unmodelled import Unmodelled
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score

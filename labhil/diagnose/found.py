@@ -1,0 +1,66 @@
+"""What a search for missing terms stands at, and what it found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from labhil.diagnose.evidence import Evidence
+from labhil.identify.fitted import Fitted
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One accepted addition with its evidence; ``p_search`` is corrected for all candidates looked at.
+
+    ``told``: it explains enough to be worth telling, and a size of it is told from zero.
+    """
+
+    terms: tuple[str, ...]
+    evidence: Evidence
+    p_search: float
+    told: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Rival:
+    """A term that would do about as well in the place of another."""
+
+    term: str
+    instead_of: str
+    delta_bic: float
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """Where a search ended; ``errors`` are standard errors by key that its fits by themselves cannot know."""
+
+    baseline: Fitted
+    final: Fitted
+    missing: tuple[Step, ...]
+    rivals: tuple[Rival, ...]
+    p_value: float
+    looks: int
+    errors: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class Trail:
+    """Where a search stands: the best model so far, p values of its steps, rivals of its terms.
+
+    ``been`` are the sets of terms that it stood at, and does not go back to.
+    """
+
+    current: Fitted
+    p_values: list[float]
+    rivals: tuple[Rival, ...] = ()
+    been: set[frozenset[str]] = field(default_factory=set)
+
+    def go(self, fitted: Fitted) -> bool:
+        """Stand there from now on; False, and stay, where it has been before."""
+        terms = frozenset(fitted.terms)
+        if terms in self.been:
+            return False
+        self.been.add(terms)
+        self.current = fitted
+        return True

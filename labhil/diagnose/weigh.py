@@ -1,0 +1,161 @@
+"""Whether each found term is the right one, is needed, and is told: rivals in its place, or nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+
+import numpy as np
+
+from labhil.diagnose.evidence import bic, effective_samples, heldout_gain
+from labhil.diagnose.found import Rival, Step, Trail
+from labhil.diagnose.judge import NEEDED_BIC, Data, compare, supported
+from labhil.diagnose.refit import FINALISTS, confirm, refit, without
+from labhil.diagnose.screen import Progress, Screen, candidates
+from labhil.identify.fitted import Fitted, covariances
+from labhil.identify.intervals import quantile
+from labhil.identify.score import Score
+from labhil.physics.model import index_of
+
+RELEVANT, RELEVANT_BESIDE = 0.05, 0.5
+"""A term has to explain this share of the baseline's squared residuals beyond noise, or this of what is left.
+
+On precise recordings of real mechanisms there is always a further term that chance does not explain.
+"""
+
+WEIGHED, WEIGHED_WIDELY = (2, 0.5), (5, 0.1)
+"""How many rivals are tried in the place of each found term, and what share of what its absence leaves they
+have to promise: on long windows, where a projection says less, more of them and with less."""
+
+HOPELESS = 3.0
+"""A fit whose squared residuals stay above this many times those of the model to beat is not finished."""
+
+RIVAL_BIC = 10.0
+"""A rival within this stays on the list: it is under five nats behind."""
+
+
+def swapped(
+    data: Data, trail: Trail, base: frozenset[str], executor: Executor, progress: Progress, *, widely: bool
+) -> tuple[Fitted, tuple[Rival, ...]]:
+    """Try the best-screened rivals in the place of each found term; keep what both kinds of data prefer."""
+    current, rivals = trail.current, list[Rival]()
+    for term in [t for t in current.terms if t not in base]:
+        if term not in current.terms:
+            continue
+        reduced = _without(data, current, term)
+        absent = [group for group in candidates(data.model, reduced.terms) if term not in group]
+        groups = [group for group in absent if group[-1] not in current.terms]
+        groups = _hopeful(data, current, reduced, groups, executor, *(WEIGHED_WIDELY if widely else WEIGHED))
+        if not groups:
+            continue
+        progress(f"weighing {', '.join(group[-1] for group in groups)} instead of {term}")
+        effective, scores = effective_samples(current), data.judge(current.theta)
+        for trial in confirm(data, reduced, groups, executor, HOPELESS * current.solution.cost)[:FINALISTS]:
+            rival, delta = trial.terms[-1], bic(trial, effective) - bic(current, effective)
+            new = frozenset(trial.terms) not in trail.been
+            if new and _preferred(scores, data.judge(trial.theta), delta):
+                rivals.append(Rival(term, rival, -delta))
+                current = trial
+                break
+            rivals.append(Rival(rival, term, delta))
+    return current, tuple(r for r in rivals if abs(r.delta_bic) < RIVAL_BIC)
+
+
+def _hopeful(
+    data: Data,
+    current: Fitted,
+    reduced: Fitted,
+    groups: Sequence[tuple[str, ...]],
+    executor: Executor,
+    most: int,
+    share: float,
+) -> list[tuple[str, ...]]:
+    """The groups that promise most beside the reduced model.
+
+    At most so many, and at least this share of what the absence of the term in question leaves.
+    """
+    screen = Screen.of(data, reduced)
+    columns = list(executor.map(screen.columns_of, groups))
+    promises = [screen.promise([own], group) for own, group in zip(columns, groups, strict=True)]
+    wanted = share * (1.0 - current.solution.cost / reduced.solution.cost)
+    return [groups[i] for i in np.argsort(promises)[::-1][:most] if promises[i] > wanted]
+
+
+def _preferred(before: Sequence[Score], after: Sequence[Score], delta_bic: float) -> bool:
+    """Whether search and held-out data together prefer ``after``: what the one cannot tell the other may."""
+    pairs = zip(before, after, strict=True)
+    most_telling = max((heldout_gain(b, a)[0] for b, a in pairs), key=abs)
+    return delta_bic - 2.0 * most_telling < 0.0
+
+
+def relevant(baseline: Fitted, before: Fitted, after: Fitted) -> bool:
+    """Whether a step explains enough of what the baseline leaves unexplained."""
+    at_first, left = (fitted.solution.cost - fitted.dof for fitted in (baseline, before))
+    return before.solution.cost - after.solution.cost > min(RELEVANT * at_first, RELEVANT_BESIDE * left)
+
+
+def _significant(fitted: Fitted, term: str) -> bool:
+    """Whether a size of this term is told from zero; one with a shape is judged by its evidence alone."""
+    parameters = fitted.problem.model.terms[term].parameters
+    if any(p.shape for p in parameters):
+        return True
+    robust, _, _ = covariances(fitted)
+    places = index_of(fitted.problem.model.parameters)
+    free = fitted.problem.free.tolist()
+    own = [free.index(places[p.key]) for p in parameters if places[p.key] in free]
+    values, errors = fitted.theta[fitted.problem.free[own]], np.sqrt(np.diag(robust)[own])
+    return bool(np.any(np.abs(values) > quantile() * errors))
+
+
+def _without(data: Data, current: Fitted, term: str) -> Fitted:
+    """The model refitted without a term and what builds on it, unless that is hopelessly worse."""
+    terms = without(data.model, current.terms, term)
+    return refit(data, current, terms, (), hopeless=HOPELESS * current.solution.cost)
+
+
+def pruned(data: Data, current: Fitted, base: frozenset[str], progress: Progress) -> Fitted:
+    """Remove found terms that the search data no longer need."""
+    # what builds on others goes first, so that these can go after it; two weak ones must not both go
+    effective = effective_samples(current)
+    allowed = bic(current, effective) - NEEDED_BIC
+    found = [t for t in current.terms if t not in base]
+    if len(found) < 2:
+        return current
+    for term in sorted(found, key=lambda t: -len(data.model.terms[t].with_terms)):
+        progress(f"is {term} still needed")
+        if any(term in data.model.terms[t].with_terms for t in current.terms):
+            continue
+        reduced = _without(data, current, term)
+        if bic(reduced, effective) < allowed:
+            current = reduced
+    return current
+
+
+def supported_only(
+    data: Data, baseline: Fitted, final: Fitted, looks: int
+) -> tuple[Fitted, tuple[Step, ...]]:
+    """Take out, weakest first, whatever search and held-out data do not both support in the last fit."""
+    while True:
+        steps = _steps_of(data, baseline, final, looks)
+        weak = [step for step in steps if not (step.told and supported(step.evidence, step.p_search))]
+        if not weak:
+            return final, steps
+        final = refit(data, final, without(data.model, final.terms, weak[-1].terms[0]), (), thorough=True)
+
+
+def _steps_of(data: Data, baseline: Fitted, final: Fitted, looks: int) -> tuple[Step, ...]:
+    """Evidence for each term of the final model: what is lost when it alone is taken out.
+
+    A term that only carries others, its own sizes at zero, is none that was found.
+    """
+    kept = []
+    places = index_of(data.model.parameters)
+    for term in [t for t in final.terms if t not in baseline.terms]:
+        sizes = [p.key for p in data.model.terms[term].parameters if not p.shape]
+        if all(final.theta[places[key]] == 0.0 for key in sizes):
+            continue
+        reduced = _without(data, final, term)
+        evidence, p_search = compare(data, reduced, final, data.judge(reduced.theta), looks)
+        told = relevant(baseline, reduced, final) and _significant(final, term)
+        kept.append(Step((term,), evidence, p_search, told))
+    return tuple(sorted(kept, key=lambda step: step.evidence.delta_bic))
