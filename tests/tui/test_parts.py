@@ -13,9 +13,9 @@ import pytest
 from labhil.campaign.studies.process import Helper
 from labhil.campaign.studies.study import Task, free_name
 from labhil.signals import Batch, Direction, Signal, Stream
-from labhil.tui.plot import Ticks, limits_of, round_step
 from labhil.tui.ring import Ring, envelope, pieces
 from labhil.tui.shelf import Shelf, experiments, results
+from labhil.tui.ticks import labels, limits_of, round_step, ticks
 from labhil.tui.watch import StreamWatch
 
 STREAM = Stream("state", (Signal("x", "m", Direction.OUTPUT),), 100.0)
@@ -60,10 +60,10 @@ def test_the_pen_is_lifted_where_samples_are_missing() -> None:
 def test_ticks_are_at_least_two_at_round_places_within_the_limits(
     limits: tuple[float, float], most: int
 ) -> None:
-    ticks = Ticks(most).get_ticks(*limits)
-    assert 2 <= len(ticks) <= 2 * most + 3
-    assert limits[0] - 1e-9 * abs(limits[0]) <= ticks[0] < ticks[-1] <= limits[1] * (1 + 1e-9)
-    assert len(set(Ticks(most).get_labels_for_ticks(ticks))) == len(ticks)
+    found = ticks(*limits, most)
+    assert 2 <= len(found) <= 2 * most + 3
+    assert limits[0] - 1e-9 * abs(limits[0]) <= found[0] < found[-1] <= limits[1] * (1 + 1e-9)
+    assert len(set(labels(found))) == len(found)
 
 
 def test_limits_contain_the_data_and_survive_none() -> None:
