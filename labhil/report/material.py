@@ -17,6 +17,7 @@ from labhil.physics.rigs import model_for, record_of
 from labhil.physics.several import several
 from labhil.recording.reader import Recording, read_recording
 from labhil.report.results import Source
+from labhil.report.still import constant
 from labhil.rig import RigFile, load_rig
 
 HOLDOUT = 0.3
@@ -62,7 +63,11 @@ class Material:
 
     def notes(self) -> list[str]:
         """What the model wants a person to know of what it took for known."""
-        return list(self.model.notes) if isinstance(self.model, ArmModel) else []
+        told = list(self.model.notes) if isinstance(self.model, ArmModel) else []
+        if constant(self.learn.inputs).all():
+            names = ", ".join(self.learn.input_names)
+            told.append(f"No input changes ({names}): only what the rig does by itself can be learnt.")
+        return told
 
     def numbered(self) -> list[str]:
         """What the numbers of several recordings stand for, a line each; nothing of one."""

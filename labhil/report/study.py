@@ -20,6 +20,7 @@ from labhil.physics.several import for_every_recording
 from labhil.report.kept_curve import curve_json, under_kept_curve
 from labhil.report.material import Material
 from labhil.report.results import accepted_of, diagnosis_json, fit_json, terms_of, values_of
+from labhil.report.still import refuse_still
 
 Progress = Callable[[str], None]
 
@@ -49,7 +50,12 @@ def fit_study(
     start: Path | None = None,
     options: Options | None = None,
 ) -> FitResult:
-    """Fit a model; ``start`` is a fit or diagnosis file to begin at, whose curve, if any, is kept."""
+    """Fit a model; ``start`` is a fit or diagnosis file to begin at, whose curve, if any, is kept.
+
+    RecordingError where there is nothing to fit: numbers that are none, or a rig that does not move.
+    """
+    material.refuse_holes()
+    refuse_still(material.recordings[0][0].path, material.learn, material.model.metric)
     shortest = FEWEST_IN_WINDOW * material.learn.period
     how = options or Options()
     if how.window is not None and not 0.99 * shortest <= how.window < float("inf"):

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import queue
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 
+from labhil.campaign.studies.jobs import Jobs
 from labhil.campaign.studies.process import Helper
 from labhil.campaign.studies.study import Task, free_name
 from labhil.signals import Batch, Direction, Signal, Stream
@@ -113,6 +116,19 @@ def test_a_study_of_what_is_not_there_fails_with_words(tmp_path: Path) -> None:
     helper.close()
     assert "nothing.mcap" in next(line["failed"] for line in said if "failed" in line)
     assert said[-1]["ended"] == 2
+
+
+def test_a_study_that_is_over_holds_nothing_open(tmp_path: Path) -> None:
+    said: queue.SimpleQueue[tuple[int, dict[str, Any]]] = queue.SimpleQueue()
+    jobs = Jobs(lambda number, line: said.put((number, line)), time.monotonic)
+    before = psutil.Process().num_fds()
+    job = jobs.start(Task("export", (tmp_path / "nothing.mcap",)))
+    line: dict[str, Any] = {}
+    while "ended" not in line:
+        number, line = said.get(timeout=60.0)
+        jobs.take(number, line)
+    assert (job.state, "nothing.mcap" in job.said) == ("failed", True)
+    assert psutil.Process().num_fds() == before
 
 
 @pytest.mark.extended
