@@ -66,14 +66,10 @@ def fit_study(
     chosen = terms or (terms_of(start) if start is not None else rig_model(model.kind).general)
     chosen = _with_own(model, chosen, stated=bool(terms))
     began = time.perf_counter()
-    result = fit(
-        model,
-        material.learn,
-        chosen,
-        test=material.judge if material.held_out else None,
-        start=for_every_recording(model, values_of(start)) if start is not None else None,
-        options=how,
-    )
+    begin = for_every_recording(model, values_of(start)) if start is not None else None
+    test = material.judge if material.held_out else None
+    with material.naming():
+        result = fit(model, material.learn, chosen, test=test, start=begin, options=how)
     if result.criterion is model.metric:
         judged = with_help(result.identifiability, material.rig, result.fitted)
         result = replace(result, identifiability=judged)
@@ -114,17 +110,18 @@ def diagnose_study(
     values = _reference_values(material, reference)
     chosen = baseline or (terms_of(reference) if reference is not None else rig_model(model.kind).baseline)
     terms_named(model, chosen)
-    diagnosis = diagnose(
-        model,
-        material.learn,
-        material.judge,
-        heldout_is_test=material.judge_is_test,
-        baseline=chosen,
-        reference=values,
-        accepted=None if reference is None else accepted_of(reference),
-        measured=material.measured,
-        progress=progress,
-    )
+    with material.naming():
+        diagnosis = diagnose(
+            model,
+            material.learn,
+            material.judge,
+            heldout_is_test=material.judge_is_test,
+            baseline=chosen,
+            reference=values,
+            accepted=None if reference is None else accepted_of(reference),
+            measured=material.measured,
+            progress=progress,
+        )
     return DiagnosisResult(diagnosis, material, diagnosis_json(diagnosis, material.sources("search")))
 
 

@@ -64,7 +64,7 @@ STILL = {
     "an arm that stands": (
         "ur5",
         STILL_ARM | CURRENTS,
-        ("expected an input that changes", "actual_q_0 at 0.3"),
+        ("too little motion for inverse dynamics", "faster than 0.01 rad/s"),
     ),
     "an arm without currents": ("ur5", ARM | NO_CURRENTS, ("actual_current_0 at 0.5 A", NOTHING)),
 }
@@ -83,7 +83,7 @@ def imported(labhil, folder: Path, rig: str, columns: dict[str, np.ndarray]) -> 
 def test_a_fit_of_what_stands_still_is_refused(labhil, tmp_path: Path, case: str) -> None:
     rig, columns, told = STILL[case]
     message = labhil("fit", imported(labhil, tmp_path, rig, columns), "--json", "fit.json").refused()
-    assert "bench.mcap: expected " in message
+    assert "bench.mcap: " in message
     for words in told:
         assert words in message
     assert not (tmp_path / "fit.json").exists()
