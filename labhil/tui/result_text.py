@@ -80,11 +80,11 @@ def _title(text: str, colours: Colours) -> Text:
 def parameter_table(rows: Sequence[ParameterRow], colours: Colours) -> Table:
     """One row per parameter; a word says what cannot be relied on."""
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style=colours["muted"])
-    # where room is short names and notes go on in a second line; numbers are never cut
-    table.add_column("parameter", overflow="fold", min_width=20, max_width=38)
+    # where room is short the name is what is cut: the one column that may be wrapped is made narrow first
+    table.add_column("parameter", overflow="ellipsis", min_width=20, max_width=38)
     table.add_column("value", justify="right", no_wrap=True)
     table.add_column("99 % interval", no_wrap=True)
-    table.add_column("")
+    table.add_column("", no_wrap=True)
     for row in rows:
         table.add_row(
             row.key,
