@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from labhil.errors import UsageError
+from labhil.whole import whole
 
 
 def write_json(data: dict[str, Any], path: Path | None = None) -> None:
@@ -18,10 +19,8 @@ def write_json(data: dict[str, Any], path: Path | None = None) -> None:
     if path is None:
         print(text)
         return
-    try:
-        path.write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise UsageError(f"{path}: the result cannot be written: {error}") from error
+    with whole(path, "the result") as draft:
+        draft.write_text(text + "\n", encoding="utf-8")
 
 
 def refuse_unwritable(*paths: Path | None) -> None:

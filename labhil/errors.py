@@ -23,6 +23,7 @@
         ├── RunStoppedError        a person or a signal stopped the run
         ├── EmergencyStopError     the emergency stop was pressed
         ├── BusError               the bus or a process of ours failed
+        ├── DiskFailedError        a result or a table could not be written: the disk is full or fails
         └── RecordingFailedError   the recording could not be written to its end
 
 Every message says what was expected, what was found, and where. ``UsageError`` messages end up in
@@ -132,6 +133,10 @@ class EmergencyStopError(RunError):
 
 class BusError(RunError):
     """The bus or a process of ours failed."""
+
+
+class DiskFailedError(RunError):
+    """A file could not be written, because the disk is full or fails."""
 
 
 class RecordingFailedError(RunError):

@@ -70,7 +70,7 @@ def test_neither_a_run_nor_a_fit_loads_the_terminal_ui(tmp_path: Path) -> None:
         "import labhil.report.text, labhil.commands.acquisition, labhil.commands.analysis\n"
         "import labhil.commands.tui\n"
     )
-    assert loaded(code, ("textual", "textual_plot", "labhil.tui.app"), tmp_path) == []
+    assert loaded(code, ("textual", "labhil.tui.app"), tmp_path) == []
 
 
 def test_the_screen_loads_nothing_that_works_for_it_elsewhere(tmp_path: Path) -> None:
@@ -79,7 +79,7 @@ def test_the_screen_loads_nothing_that_works_for_it_elsewhere(tmp_path: Path) ->
 
 def test_what_works_for_the_screen_loads_no_screen(tmp_path: Path) -> None:
     code = "import labhil.tui.running, labhil.campaign.studies.study, labhil.campaign.studies.curves\n"
-    assert loaded(code, ("textual", "textual_plot"), tmp_path) == []
+    assert loaded(code, ("textual",), tmp_path) == []
 
 
 def test_the_command_line_itself_loads_neither(tmp_path: Path) -> None:

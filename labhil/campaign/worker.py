@@ -60,10 +60,10 @@ class Worker:
         self._jobs.close()
 
     def _follow(self, number: int, line: dict[str, Any]) -> None:
-        job = self._jobs.all[number]
-        if job.state != "at work":
+        was = self._jobs.all[number].state
+        job = self._jobs.take(number, line)
+        if was != "at work":
             return
-        self._jobs.take(number, line)
         if job.state == "at work":
             self._tell(WORKER_PROGRESS, job, {"said": job.said})
             return

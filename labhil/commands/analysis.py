@@ -116,7 +116,6 @@ def fit(
     apart = split_names(per_recording) or ()
     material = load_material(recordings, rig, test, holdout, apart, span=span, all_of_it=True, device=device)
     tell(material.losses())
-    material.refuse_holes()
     with status() as say:
         options = Options(window, method, simultaneous, estimator_named(estimator), seed, say, small)
         result = fit_study(material, terms=split_names(names), start=model, options=options)

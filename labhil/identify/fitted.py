@@ -160,7 +160,7 @@ def covariances(fitted: Fitted) -> tuple[FloatArray, FloatArray, FloatArray]:
     lost = np.linalg.norm(jacobian, axis=0) == 0.0
     for matrix in (robust, inverse):
         matrix[lost, lost] = np.inf
-    classical = inverse * solution.cost / fitted.dof
+    classical = inverse * max(solution.cost, 1e-300) / fitted.dof  # what is not known stays so at no cost
     return robust / np.outer(unit, unit), classical / np.outer(unit, unit), jacobian
 
 

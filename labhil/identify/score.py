@@ -14,6 +14,9 @@ from labhil.physics.drive_balance import Balanced
 from labhil.physics.model import Metric, Model, Record
 from labhil.signals import FloatArray, IntArray
 
+ROUNDING = 1e-9
+"""Of its size: a channel that varies by less is a constant."""
+
 
 @dataclass(frozen=True, slots=True)
 class ChannelScore:
@@ -212,7 +215,7 @@ def _row(
 ) -> ChannelScore:
     """The figures of errors (N,) beside what was measured (N,); ``name`` is channel, joint and unit.
 
-    ``sst`` is the sum of squares about the mean of what was measured.
+    ``sst`` is the sum of squares about the mean of what was measured; of a constant there is no R².
     """
     sse = float(errors @ errors)
     rmse, size = float(np.sqrt(sse / len(errors))), float(np.sqrt(np.mean(measured**2)))
@@ -224,7 +227,7 @@ def _row(
         mse=sse / len(errors),
         rmse=rmse,
         max_abs_error=float(np.abs(errors).max()),
-        r2=1.0 - sse / sst if sst > 0 else float("nan"),
+        r2=1.0 - sse / sst if sst > len(errors) * (ROUNDING * size) ** 2 else float("nan"),
         noise_floor=float(floor),
         metric=metric,
         relative_error=rmse / size if metric is Metric.INVERSE_DYNAMICS and size > 0 else None,

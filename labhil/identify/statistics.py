@@ -114,7 +114,7 @@ def inverse_information(jacobian: FloatArray) -> FloatArray:
     known to about 1e-7, so nothing under 1e-9 of the largest singular value is told from zero.
     """
     _, singular, rows = np.linalg.svd(jacobian, full_matrices=False)
-    singular = np.maximum(singular, FAINTEST * max(float(singular.max(initial=0.0)), 1e-300))
+    singular = np.maximum(singular, FAINTEST * max(float(singular.max(initial=0.0)), 1e-130))
     return np.asarray((rows.T / singular**2) @ rows)
 
 
@@ -272,7 +272,7 @@ def whiteness(residuals: FloatArray, lags: int = 20) -> float:
     """p value of Ljung and Box's test that residuals (n,) are white."""
     from statsmodels.stats.diagnostic import acorr_ljungbox
 
-    if len(residuals) <= lags + 1 or not np.any(residuals):
+    if len(residuals) <= lags + 1 or not np.ptp(residuals) > 0.0:
         return 1.0
     table = acorr_ljungbox(residuals, lags=[lags], return_df=True)
     return float(table["lb_pvalue"].iloc[0])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from labhil.recording.formats.parquet import write_parquet
 from labhil.recording.formats.workbook import write_workbook
 from labhil.recording.reader import Recording, StreamData
 from labhil.signals import FloatArray, Stream
+from labhil.whole import unwritten, whole
 
 BAG = ".rosbag2"
 """The extension that asks for a ROS 2 bag; a bag is a folder."""
@@ -71,7 +71,7 @@ def export(recording: Recording, out: Path, stream: str | None = None) -> Path:
     """Write a recording in the format that the extension of ``out`` names.
 
     A bag holds all streams that have samples, a table the one that :func:`exported_stream` chooses.
-    UsageError for other extensions and where ``out`` cannot be written.
+    UsageError for other extensions and where ``out`` cannot be written; DiskFailedError for a full disk.
     """
     suffix = out.suffix.lower()
     if suffix == BAG:
@@ -90,7 +90,7 @@ def _write_bag(recording: Recording, out: Path, stream: str | None) -> Path:
     try:
         write_bag(filled, out)
     except OSError as error:
-        raise UsageError(f"{out}: cannot be written: {error.strerror or error}") from error
+        raise unwritten(out, error) from error
     return out
 
 
@@ -98,15 +98,8 @@ def _written(
     write: Callable[[Stream, FloatArray, FloatArray, Path], None], data: StreamData, out: Path
 ) -> Path:
     """Write beside ``out`` first, so that nobody finds half a table there."""
-    part = out.with_name(f"{out.name}.part")
     if out.is_dir():
         raise UsageError(f"{out}: expected a file to write, found a folder")
-    try:
-        write(data.stream, data.t, data.values, part)
-        part.replace(out)
-    except OSError as error:
-        raise UsageError(f"{out}: cannot be written: {error.strerror or error}") from error
-    finally:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
+    with whole(out) as draft:
+        write(data.stream, data.t, data.values, draft)
     return out

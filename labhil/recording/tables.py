@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from labhil.errors import TableError, suggestion
+from labhil.errors import DiskFailedError, RecordingFailedError, TableError, suggestion
 from labhil.recording.columns import read_columns
 from labhil.recording.formats.columns import Columns
 from labhil.recording.reader import RIG_ATTACHMENT
@@ -156,10 +156,18 @@ def write_import(table: ImportedTable, out: Path) -> Path:
         **{f"note.{number}": note for number, note in enumerate(table.notes)},
     }
     with RecordingWriter(out) as writer:
-        writer.attach(RIG_ATTACHMENT, "application/toml", table.rig.text.encode())
-        writer.metadata("import", told)
-        channel = writer.add_stream(table.rig.rig.kind, table.stream, {"source": table.source.name})
-        writer.write(channel, Batch(table.row, t_ns, t_ns, table.values))
+        try:
+            writer.attach(RIG_ATTACHMENT, "application/toml", table.rig.text.encode())
+            writer.metadata("import", told)
+            channel = writer.add_stream(table.rig.rig.kind, table.stream, {"source": table.source.name})
+            writer.write(channel, Batch(table.row, t_ns, t_ns, table.values))
+            writer.finish()
+        except RecordingFailedError as failure:
+            # half an import is worth nothing: the table is still there
+            writer.part.unlink(missing_ok=True)
+            raise DiskFailedError(
+                f"{out}: the disk failed, nothing was imported: {failure.__cause__}; make room and try again"
+            ) from failure
     return out
 
 

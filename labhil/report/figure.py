@@ -10,6 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from labhil.errors import UsageError
+from labhil.whole import whole
 
 BEFORE, AFTER, MEASURED = "#c8553d", "#2a7f62", "#444444"
 
@@ -35,6 +36,7 @@ def finish(axes: Axes, title: str, x: str, y: str) -> None:
 def save(figure: Figure, path: Path) -> None:
     """Write a figure; UsageError when the file cannot be written or it is no format of pictures."""
     try:
-        figure.savefig(path, dpi=110)
-    except (OSError, ValueError) as error:
+        with whole(path, "the plot") as draft:
+            figure.savefig(draft, dpi=110)
+    except ValueError as error:
         raise UsageError(f"{path}: the plot cannot be written: {error}") from error

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from labhil.physics.rigs import model_for, record_of
 from labhil.physics.several import several
 from labhil.recording.reader import Recording, read_recording
 from labhil.report.results import Source
+from labhil.report.still import constant
 from labhil.rig import RigFile, load_rig
 
 HOLDOUT = 0.3
@@ -62,7 +64,11 @@ class Material:
 
     def notes(self) -> list[str]:
         """What the model wants a person to know of what it took for known."""
-        return list(self.model.notes) if isinstance(self.model, ArmModel) else []
+        told = list(self.model.notes) if isinstance(self.model, ArmModel) else []
+        if constant(self.learn.inputs).all():
+            names = ", ".join(self.learn.input_names)
+            told.append(f"No input changes ({names}): only what the rig does by itself can be learnt.")
+        return told
 
     def numbered(self) -> list[str]:
         """What the numbers of several recordings stand for, a line each; nothing of one."""
@@ -76,6 +82,10 @@ class Material:
     def losses(self) -> list[str]:
         """What the recordings lack, a line each."""
         return [line for recording, _, _ in self.recordings for line in recording.losses()]
+
+    def naming(self) -> AbstractContextManager[None]:
+        """Names the file in what a fit or a diagnosis says of its recording."""
+        return naming([recording for recording, _, _ in self.recordings])
 
     def refuse_holes(self) -> None:
         """RecordingError where a recording has numbers that are none, or times that do not increase."""
@@ -114,18 +124,35 @@ def load_material(
     model = model_for(rig, measured, per_recording)
     learning = tuple((recording, record, "") for recording, record in zip(found, records, strict=True))
     if not test_paths and holdout == 0.0:
-        learn = model.prepare(measured)
+        with naming(found):
+            learn = model.prepare(measured)
         return Material(rig, model, learn, learn, False, measured, learning, held_out=False)
     if not test_paths:
-        learn, judge = _held_out(model, measured, found, holdout)
+        with naming(found):
+            learn, judge = _held_out(model, measured, found, holdout)
         return Material(rig, model, learn, judge, False, measured, learning)
     tested = [read_recording(each).of_device(device) for each in test_paths]
     tests, test = _measured(tested, rig, like=measured, of=found[0])
     if len(tests) > 1 and len(records) == 1:
         model = several(model, (), 1)
     judging = tuple((recording, record, "test") for recording, record in zip(tested, tests, strict=True))
-    learn, judge = model.prepare(measured), model.prepare(test)
+    with naming(found):
+        learn = model.prepare(measured)
+    with naming(tested):
+        judge = model.prepare(test)
     return Material(rig, model, learn, judge, True, measured, (*learning, *judging))
+
+
+@contextmanager
+def naming(recordings: Sequence[Recording]) -> Iterator[None]:
+    """Put a recording's name before what is said of it; several are told apart by their numbers."""
+    try:
+        yield
+    except RecordingError as error:
+        path = str(recordings[0].path)
+        if len(recordings) > 1 or path in str(error):
+            raise
+        raise RecordingError(f"{path}: {error}") from error
 
 
 def refuse_holes(path: Path, record: Record) -> None:

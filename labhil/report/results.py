@@ -20,6 +20,7 @@ from labhil.identify.score import Figures, Score
 from labhil.identify.statistics import Estimate
 from labhil.physics.terms import keyed
 from labhil.signals import FloatArray
+from labhil.whole import whole
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,8 +225,10 @@ def finite(value: Any) -> Any:
 
 
 def write_json(data: Any, path: Path) -> None:
-    """Write JSON data, UTF-8, readable."""
-    path.write_text(json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+    """Write JSON data, UTF-8, readable; UsageError or DiskFailedError where that fails."""
+    text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
+    with whole(path, "the result") as draft:
+        draft.write_text(text + "\n", encoding="utf-8")
 
 
 def values_of(path: Path) -> dict[str, float]:

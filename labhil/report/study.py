@@ -20,6 +20,7 @@ from labhil.physics.several import for_every_recording
 from labhil.report.kept_curve import curve_json, under_kept_curve
 from labhil.report.material import Material
 from labhil.report.results import accepted_of, diagnosis_json, fit_json, terms_of, values_of
+from labhil.report.still import refuse_still
 
 Progress = Callable[[str], None]
 
@@ -49,7 +50,12 @@ def fit_study(
     start: Path | None = None,
     options: Options | None = None,
 ) -> FitResult:
-    """Fit a model; ``start`` is a fit or diagnosis file to begin at, whose curve, if any, is kept."""
+    """Fit a model; ``start`` is a fit or diagnosis file to begin at, whose curve, if any, is kept.
+
+    RecordingError where there is nothing to fit: numbers that are none, or a rig that does not move.
+    """
+    material.refuse_holes()
+    refuse_still(material.recordings[0][0].path, material.learn, material.model.metric)
     shortest = FEWEST_IN_WINDOW * material.learn.period
     how = options or Options()
     if how.window is not None and not 0.99 * shortest <= how.window < float("inf"):
@@ -60,14 +66,10 @@ def fit_study(
     chosen = terms or (terms_of(start) if start is not None else rig_model(model.kind).general)
     chosen = _with_own(model, chosen, stated=bool(terms))
     began = time.perf_counter()
-    result = fit(
-        model,
-        material.learn,
-        chosen,
-        test=material.judge if material.held_out else None,
-        start=for_every_recording(model, values_of(start)) if start is not None else None,
-        options=how,
-    )
+    begin = for_every_recording(model, values_of(start)) if start is not None else None
+    test = material.judge if material.held_out else None
+    with material.naming():
+        result = fit(model, material.learn, chosen, test=test, start=begin, options=how)
     if result.criterion is model.metric:
         judged = with_help(result.identifiability, material.rig, result.fitted)
         result = replace(result, identifiability=judged)
@@ -108,17 +110,18 @@ def diagnose_study(
     values = _reference_values(material, reference)
     chosen = baseline or (terms_of(reference) if reference is not None else rig_model(model.kind).baseline)
     terms_named(model, chosen)
-    diagnosis = diagnose(
-        model,
-        material.learn,
-        material.judge,
-        heldout_is_test=material.judge_is_test,
-        baseline=chosen,
-        reference=values,
-        accepted=None if reference is None else accepted_of(reference),
-        measured=material.measured,
-        progress=progress,
-    )
+    with material.naming():
+        diagnosis = diagnose(
+            model,
+            material.learn,
+            material.judge,
+            heldout_is_test=material.judge_is_test,
+            baseline=chosen,
+            reference=values,
+            accepted=None if reference is None else accepted_of(reference),
+            measured=material.measured,
+            progress=progress,
+        )
     return DiagnosisResult(diagnosis, material, diagnosis_json(diagnosis, material.sources("search")))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 
 from rich.console import Console, Group, RenderableType
@@ -77,6 +78,11 @@ def parameter_table(estimates: Sequence[Estimate], title: str) -> Table:
     return table
 
 
+def percent(share: float, unit: str = " %") -> str:
+    """``99.99 %``; a dash where there is none."""
+    return f"{100 * share:.2f}{unit}" if math.isfinite(share) else "–"
+
+
 def small(p_value: float) -> str:
     """A p value as people write it: ``= 0.03``, ``<1e-99``."""
     return "<1e-99" if p_value < 1e-99 else f"= {p_value:.2g}"
@@ -114,7 +120,7 @@ def score_table(scores: Sequence[tuple[str, Score]]) -> Table:
                 f"{channel.noise_floor:.4g} {channel.unit}",
                 f"{channel.max_abs_error:.4g} {channel.unit}",
                 f"{channel.mse:.4g} {squared(channel.unit)}",
-                f"{100 * channel.r2:.2f} %",
+                percent(channel.r2),
                 *((_share(channel),) if forces else ()),
             )
     return table
@@ -238,7 +244,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> RenderableType:
     parts.append(
         Text(
             f"On {name}, which the search never saw: RMSE {before.rmse:.4g} → {after.rmse:.4g}, "
-            f"noise floor {after.noise_floor:.4g}; R² {100 * before.r2:.2f} → {100 * after.r2:.2f} %."
+            f"noise floor {after.noise_floor:.4g}; R² {percent(before.r2, '')} → {percent(after.r2)}."
         )
     )
     if diagnosis.shorter is not None:

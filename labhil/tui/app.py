@@ -29,6 +29,7 @@ from labhil.tui.experiment import ExperimentPane
 from labhil.tui.lab import Lab
 from labhil.tui.live import LivePane
 from labhil.tui.messages import RunSaid, ShelfRead, StartWanted, StudySaid, StudyWanted
+from labhil.tui.pace import Pace
 from labhil.tui.palette import TABS, commands
 from labhil.tui.recordings import RecordingsPane
 from labhil.tui.results import ResultsPane
@@ -39,7 +40,7 @@ from labhil.tui.themes import DARK, LIGHT
 from labhil.tui.words import RUN_STATES
 
 FRAME_INTERVAL = 0.1
-"""Plots are drawn ten times a second."""
+"""Plots are drawn at most ten times a second, see ``Pace``."""
 FACTS_INTERVAL = 0.25
 """Tables and states are brought up to date four times a second, so that silence shows within one."""
 FILES_INTERVAL = 2.0
@@ -87,6 +88,9 @@ class LabApp(App[None]):
         self.outcome: Outcome | None = None
         self.leaving = ""
         self._reading = threading.Lock()
+        self._pace = Pace()
+        self._bar = Text()
+        self._panes: tuple[TabPane, ...] = ()
         self.register_theme(DARK)
         self.register_theme(LIGHT)
         self.theme = theme
@@ -113,10 +117,11 @@ class LabApp(App[None]):
 
     def on_mount(self) -> None:
         """Begin to look at everything."""
+        self._panes = tuple(self.base.query(TabPane))
         self.set_interval(FRAME_INTERVAL, self._draw_plots)
         self.set_interval(FACTS_INTERVAL, self._show_facts)
         self.set_interval(FILES_INTERVAL, self.look_at_files)
-        self.look_at_files()
+        self._look_at_shelf()  # before anybody asks: reading takes a while
         self._show_facts()
         if threading.current_thread() is threading.main_thread():
             loop = asyncio.get_running_loop()
@@ -154,7 +159,7 @@ class LabApp(App[None]):
     @property
     def standing(self) -> bool:
         """Whether there is anything to draw on: not before the first layout, nor while the screen goes."""
-        return self.is_running and bool(self.screen_stack) and bool(self.base.query("#tabs TabPane"))
+        return self.is_running and bool(self._panes) and all(pane.is_attached for pane in self._panes)
 
     @property
     def tab(self) -> str:
@@ -162,7 +167,7 @@ class LabApp(App[None]):
         return self.base.query_one("#tabs", TabbedContent).active
 
     def _draw_plots(self) -> None:
-        if self.standing and self.tab == "live" and len(self.screen_stack) == 1:
+        if self.standing and self.tab == "live" and len(self.screen_stack) == 1 and self._pace.due():
             self.base.query_one(LivePane).draw()
 
     def _show_facts(self) -> None:
@@ -170,11 +175,14 @@ class LabApp(App[None]):
             return
         self._look_at_latch()
         self._show_bar()
-        self.base.query_one(LivePane).refresh_list()
-        self.base.query_one(ExperimentPane).refresh_view()
-        if self.tab == "devices":
+        tab = self.tab
+        if tab == "devices":
             self.base.query_one(DevicesPane).refresh_view()
-        elif self.tab == "results":
+        elif tab == "live":
+            self.base.query_one(LivePane).refresh_list()
+        elif tab == "experiment":
+            self.base.query_one(ExperimentPane).refresh_view()
+        elif tab == "results":
             self.base.query_one(ResultsPane).refresh_view()
 
     def _show_bar(self) -> None:
@@ -191,18 +199,24 @@ class LabApp(App[None]):
         if not line.plain:
             place = self.folder if self.folder.name else self.folder.absolute()
             line.append(str(place), style=colours["muted"])
-        self.base.query_one("#bar-run", Static).update(line)
+        if line != self._bar:
+            self._bar = line
+            self.base.query_one("#bar-run", Static).update(line, layout=False)
 
     def look_at_files(self) -> None:
-        """Read the folder anew, in a thread; one at a time."""
+        """Read anew what the tab in front shows of the folder; recordings in a thread, one look at a time."""
         if not self.standing:
             return
+        if self.tab == "recordings":
+            self._look_at_shelf()
+        elif self.tab == "experiment":
+            self.base.query_one(ExperimentPane).refresh_list()
+        elif self.tab == "results":
+            self.base.query_one(ResultsPane).refresh_list()
+
+    def _look_at_shelf(self) -> None:
         if self._reading.acquire(blocking=False):
             self.run_worker(self._read_shelf, thread=True, group="shelf", exit_on_error=False)
-        if self.tab == "experiment":
-            self.base.query_one(ExperimentPane).refresh_list()
-        if self.tab == "results":
-            self.base.query_one(ResultsPane).refresh_list()
 
     def _read_shelf(self) -> None:
         try:

@@ -41,6 +41,7 @@ class DevicesPane(Vertical):
         super().__init__(id="devices-pane")
         self._lab = lab
         self._shown: tuple[str, ...] = ()
+        self._shape: object = None
 
     def compose(self) -> ComposeResult:
         """The table, the readings, and what is said when there is nothing."""
@@ -79,7 +80,18 @@ class DevicesPane(Vertical):
                         table.update_cell(key, column, cell, update_width=column == "last event")
         if devices:
             endpoint, view = devices[min(table.cursor_row, len(devices) - 1)]
-            self.query_one("#device-readings", Static).update(self._readings(endpoint, view))
+            known = facts(endpoint, view)
+            # numbers change all the time, the height seldom: a layout costs more than all the rest
+            shape = (
+                endpoint,
+                view.name,
+                view.stream,
+                self._lab.trouble,
+                [len(value) for _, value in known[4:]],
+            )
+            readings = self._readings(view, known)
+            self.query_one("#device-readings", Static).update(readings, layout=shape != self._shape)
+            self._shape = shape
 
     def on_data_table_row_highlighted(self, _event: DataTable.RowHighlighted) -> None:
         """Another device was chosen."""
@@ -105,12 +117,12 @@ class DevicesPane(Vertical):
             Text(NOTHING if view.event is None else said(view.event), style=colours["muted"]),
         ]
 
-    def _readings(self, endpoint: str, view: DeviceView) -> Group:
+    def _readings(self, view: DeviceView, told: list[tuple[str, str]]) -> Group:
         colours = self.app.theme_variables
         known = Table.grid(padding=(0, 2, 0, 0))
         known.add_column(style=colours["muted"], no_wrap=True)
         known.add_column()
-        for name, value in facts(endpoint, view):
+        for name, value in told:
             known.add_row(name, value)
         if self._lab.trouble:
             known.add_row(Text("▲ trouble", style=colours["warning"]), self._lab.trouble)

@@ -13,9 +13,11 @@ from textual.widgets.selection_list import Selection
 
 from labhil.signals import Direction, FloatArray
 from labhil.tui import lab as labs
+from labhil.tui.curve import PENS, Curve
 from labhil.tui.lab import Lab, Place
-from labhil.tui.plot import PENS, Chart, Curve, Limits, limits_of
+from labhil.tui.plot import Chart
 from labhil.tui.themes import CURVES
+from labhil.tui.ticks import Limits, limits_of
 from labhil.tui.watch import trace
 from labhil.tui.words import duration
 
@@ -47,6 +49,7 @@ class LivePane(Horizontal):
         self._charts: dict[str, Chart] = {}
         self._limits: dict[str, Limits] = {}
         self._window = 2
+        self._said = Text()
         self.frozen = False
 
     def compose(self) -> ComposeResult:
@@ -158,7 +161,9 @@ class LivePane(Horizontal):
         elif self._places:
             line.append(f"▶ the last {duration(self.window)}", style="bold")
             line.append(f", {len(self._charts)} of {len(self._places)} signals", style=colours["muted"])
-        self.query_one("#live-state", Static).update(line)
+        if line != self._said:
+            self._said = line
+            self.query_one("#live-state", Static).update(line, layout=False)
 
     def action_freeze(self) -> None:
         """Hold the picture, or go on."""

@@ -1,234 +1,246 @@
-"""A chart of braille dots: lines told apart by how they are drawn, not by their colour alone."""
+"""Charts: a title with the legend, and under it curves of braille dots with axes, to zoom and to move."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from enum import StrEnum
+from collections.abc import Sequence
 from typing import ClassVar
 
-import numpy as np
+from rich.segment import Segment
+from rich.style import Style
 from rich.text import Text
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Vertical
-from textual.events import Resize
+from textual.events import MouseEvent, MouseMove, MouseScrollDown, MouseScrollUp, Resize
+from textual.geometry import Region
+from textual.strip import Strip
+from textual.widget import Widget
 from textual.widgets import Static
-from textual_plot import HiResMode, NumericAxisFormatter, PlotWidget
 
 from labhil.signals import FloatArray
-from labhil.tui.ring import envelope, pieces
+from labhil.tui.curve import Curve, drawn
+from labhil.tui.ticks import Limits, labels, limits_of, ticks
 
-Limits = tuple[float, float]
+MARGIN = 9
+"""Columns on the left for what stands at the ticks."""
+FRAME = 2
+"""Columns, and rows, of the frame around the curves; one more row under it is for the ticks of x."""
 
+ZOOM, WHEEL_ZOOM, MOVE = 0.15, 0.05, 0.1
+"""By how much a key or the wheel narrows the view at each side, and how far a key moves it: shares of it."""
 
-class Pen(StrEnum):
-    """How a line is drawn; its picture stands in the legend."""
-
-    SOLID = "━━"
-    DASHED = "╍╍"
-    DOTS = "··"
-
-
-PENS = (Pen.SOLID, Pen.DASHED, Pen.DOTS)
-DASH, PAUSE = 5, 4
+View = tuple[Limits, Limits]
 
 
-@dataclass(frozen=True, slots=True)
-class Curve:
-    """A line of points (n,), or dots; NaN in ``y`` and steps longer than ``gap`` in ``x`` lift the pen.
+class Plot(Widget, can_focus=True):
+    """The curves and their axes. A picture is made once for what is shown, not once for each line of it."""
 
-    ``colour`` is a name from the theme, as ``curve-0``.
-    """
-
-    x: FloatArray
-    y: FloatArray
-    colour: str = "curve-0"
-    pen: Pen = Pen.SOLID
-    label: str = ""
-    gap: float = math.inf
-
-
-class Ticks(NumericAxisFormatter):
-    """At most ``most`` ticks at round numbers, however small the axis is."""
-
-    def __init__(self, most: int = 4) -> None:
-        self.most = most
-
-    def get_ticks(self, min_: float, max_: float, max_ticks: int = 8) -> list[float]:
-        """Return where the ticks are; at least two, but where the axis has no length."""
-        if not (math.isfinite(max_ - min_) and max_ > min_):
-            return []
-        step = round_step((max_ - min_) / max(1, self.most))
-        ticks = _multiples(step, min_, max_)
-        for _ in range(3):
-            if len(ticks) < 2:  # a single tick says nothing of the scale
-                step = round_step(step / 2.6)
-                ticks = _multiples(step, min_, max_)
-        return ticks
-
-    def get_labels_for_ticks(self, ticks: Sequence[float]) -> list[str]:
-        """Return what stands at them."""
-        if not ticks:
-            return []
-        step = ticks[1] - ticks[0] if len(ticks) > 1 else abs(ticks[0]) or 1.0
-        largest = max(abs(tick) for tick in ticks)
-        if largest >= 1e5 or (0 < largest < 1e-3):
-            return [f"{tick:.1e}".replace("e-0", "e-").replace("e+0", "e") for tick in ticks]
-        decimals = max(0, -math.floor(math.log10(step) + 1e-9))
-        return [f"{tick + 0.0:.{decimals}f}".replace("-", "−") for tick in ticks]
-
-
-def _multiples(step: float, low: float, high: float) -> list[float]:
-    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
-    return [number * step for number in range(first, last + 1)]
-
-
-def round_step(step: float) -> float:
-    """The smallest of 1, 2, 5 times a power of ten that is not smaller than ``step``."""
-    if not step > 0:
-        return 1.0
-    power = 10.0 ** math.floor(math.log10(step))
-    return next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= step * (1 - 1e-9))
-
-
-def limits_of(values: Sequence[FloatArray]) -> Limits:
-    """Round limits around all finite values, with a little room; (−1, 1) where there are none."""
-    finite = [v[np.isfinite(v)] for v in values]
-    finite = [v for v in finite if len(v)]
-    if not finite:
-        return -1.0, 1.0
-    low, high = min(float(v.min()) for v in finite), max(float(v.max()) for v in finite)
-    middle, half = (low + high) / 2, (high - low) / 2
-    half = max(half * 1.05, abs(middle) * 1e-6, 1e-12)
-    step = round_step(half / 2.5)
-    return math.floor((middle - half) / step) * step, math.ceil((middle + half) / step) * step
-
-
-class Canvas(PlotWidget):
-    """The plot itself: textual-plot with narrower margins and our ticks."""
-
+    COMPONENT_CLASSES: ClassVar[set[str]] = {"plot--axis", "plot--tick"}
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("r", "reset_scales", "Whole", id="plot.whole", tooltip="Undo zooming and panning"),
+        Binding("plus", "zoom(1)", "Zoom in", id="plot.in", key_display="+"),
+        Binding("minus", "zoom(-1)", "Zoom out", id="plot.out", key_display="-"),
+        Binding("left", "move(-1, 0)", "Left", id="plot.left", show=False),
+        Binding("right", "move(1, 0)", "Right", id="plot.right", show=False),
+        Binding("up", "move(0, 1)", "Up", id="plot.up", show=False),
+        Binding("down", "move(0, -1)", "Down", id="plot.down", show=False),
+        Binding("r", "whole", "Whole", id="plot.whole", tooltip="Undo zooming and moving"),
     ]
 
     def __init__(self) -> None:
         super().__init__()
-        self.x_ticks, self.y_ticks = Ticks(6), Ticks(3)
-        self.set_x_formatter(self.x_ticks)
-        self.set_y_formatter(self.y_ticks)
+        self._curves: tuple[Curve, ...] = ()
+        self._whole: View = ((0.0, 1.0), (-1.0, 1.0))
+        self._seen = self._whole
+        self._lines: list[Strip] = []
 
-    def compose(self) -> ComposeResult:
-        """Set the margins before the first layout."""
-        self.set_reactive(PlotWidget.margin_top, 0)
-        self.set_reactive(PlotWidget.margin_bottom, 1)
-        self.set_reactive(PlotWidget.margin_left, 9)
-        yield from super().compose()
+    @property
+    def view(self) -> View:
+        """The limits of x and of y that are shown."""
+        return self._seen
+
+    def show(self, curves: Sequence[Curve], x: Limits, y: Limits) -> None:
+        """Draw these between these limits."""
+        self._curves, self._whole = tuple(curves), (_spread(x), _spread(y))
+        self._look_at(self._whole)
+
+    def notify_style_update(self) -> None:
+        """Draw anew, in the colours of another theme."""
+        super().notify_style_update()
+        self._look_at(self._seen)
+
+    def on_resize(self, _event: Resize) -> None:
+        """Draw anew, as large as it is now."""
+        self._look_at(self._seen)
+
+    def _look_at(self, view: View) -> None:
+        self._seen, self._lines = view, []
+        self.refresh()
+
+    def render_lines(self, crop: Region) -> list[Strip]:
+        """The part of the picture that is asked for; there is no border and no padding around it."""
+        width, height = self.size
+        if not self._lines:
+            self._lines = self._picture(width - MARGIN - FRAME, height - FRAME - 1)
+        lines = self._lines[crop.y : crop.bottom]
+        return lines if crop.width == width else [line.crop(crop.x, crop.right) for line in lines]
+
+    def _picture(self, columns: int, rows: int) -> list[Strip]:
+        """Every line, as wide as the widget, with the terminal's filters (as without colours) applied."""
+        base, (width, height) = self.rich_style, self.size
+        drawn = self._frame(columns, rows, base) if columns > 0 and rows > 0 else [Strip.blank(0)] * height
+        lines = [line.adjust_cell_length(width, base) for line in drawn]
+        behind = self.background_colors[1]
+        for line_filter in self.app.get_line_filters():
+            lines = [line.apply_filter(line_filter, behind) for line in lines]
+        return lines
+
+    def _frame(self, columns: int, rows: int, base: Style) -> list[Strip]:
+        known = self.app.theme_variables
+        axis = base + self.get_component_rich_style("plot--axis", partial=True)
+        tick = base + self.get_component_rich_style("plot--tick", partial=True)
+        pens = [base + Style(color=known.get(curve.colour, "#888888")) for curve in self._curves]
+        raster = drawn(self._curves, *self._seen, columns, rows)
+        across, beside = self._ticks_of_x(columns), self._ticks_of_y(rows)
+        margin = Segment(" " * (MARGIN - 1), tick)
+        lines = [Strip([margin, Segment(" " + _edge("┏", "━", "┻", "┓", columns, across), axis)])]
+        for row in range(rows):
+            label, left, right = (beside[row], "┫", "┣") if row in beside else ("", "┃", "┃")
+            cells = [Segment(text, pens[owner] if owner >= 0 else base) for text, owner in raster.runs(row)]
+            head = [Segment(label.rjust(MARGIN - 1)[: MARGIN - 1], tick), Segment(f" {left}", axis)]
+            lines.append(Strip([*head, *cells, Segment(right, axis)]))
+        lines.append(Strip([margin, Segment(" " + _edge("┗", "━", "┳", "┛", columns, across), axis)]))
+        lines.append(Strip([Segment(_under(across, MARGIN + FRAME + columns), tick)]))
+        return lines
+
+    def _ticks_of_x(self, columns: int) -> dict[int, str]:
+        """What stands under which column."""
+        low, high = self._seen[0]
+        found = ticks(low, high, max(2, min(10, columns // 9)))
+        places = [round((tick - low) / (high - low) * (columns - 1)) for tick in found]
+        return dict(zip(places, labels(found), strict=True))
+
+    def _ticks_of_y(self, rows: int) -> dict[int, str]:
+        """What stands beside which row."""
+        low, high = self._seen[1]
+        found = ticks(low, high, max(1, min(6, rows // 2)))
+        places = [round((high - tick) / (high - low) * (rows - 1)) for tick in found]
+        return dict(zip(places, labels(found), strict=True))
+
+    # looking around
+
+    def action_whole(self) -> None:
+        """Show all of it again."""
+        self._look_at(self._whole)
+
+    def action_zoom(self, way: int) -> None:
+        """Show less, or more, around the middle."""
+        self._zoom(ZOOM * way, 0.5, 0.5)
+
+    def action_move(self, right: int, up: int) -> None:
+        """Show what lies beside."""
+        self._move(MOVE * right, MOVE * up)
+
+    def _zoom(self, share: float, right: float, up: float) -> None:
+        """Narrow the view about a place in it (shares of it from the left and from below)."""
+        about = (right, up)
+        seen = [
+            (low + 2 * at * share * (high - low), high - 2 * (1 - at) * share * (high - low))
+            for (low, high), at in zip(self._seen, about, strict=True)
+        ]
+        if all(low + abs(low) * 1e-9 < high for low, high in seen):  # no further than numbers reach
+            self._look_at((seen[0], seen[1]))
+
+    def _move(self, right: float, up: float) -> None:
+        (x0, x1), (y0, y1) = self._seen
+        dx, dy = right * (x1 - x0), up * (y1 - y0)
+        self._look_at(((x0 + dx, x1 + dx), (y0 + dy, y1 + dy)))
+
+    def on_mouse_scroll_up(self, event: MouseScrollUp) -> None:
+        """Zoom in at the pointer, once the chart has been clicked; before that the page scrolls."""
+        self._wheel(event, WHEEL_ZOOM)
+
+    def on_mouse_scroll_down(self, event: MouseScrollDown) -> None:
+        """Zoom out at the pointer."""
+        self._wheel(event, -WHEEL_ZOOM)
+
+    def _wheel(self, event: MouseEvent, share: float) -> None:
+        columns, rows = self.size.width - MARGIN - FRAME, self.size.height - FRAME - 1
+        if not self.has_focus or columns < 1 or rows < 1:
+            return
+        event.stop()
+        right, down = (event.x - MARGIN - 1) / columns, (event.y - 1) / rows
+        self._zoom(share, min(max(right, 0.0), 1.0), min(max(1 - down, 0.0), 1.0))
+
+    def on_mouse_move(self, event: MouseMove) -> None:
+        """Drag the picture."""
+        columns, rows = self.size.width - MARGIN - FRAME, self.size.height - FRAME - 1
+        if event.button == 1 and columns > 0 and rows > 0:
+            self._move(-event.delta_x / columns, event.delta_y / rows)
 
 
 class Chart(Vertical):
-    """A title with the legend, and the plot under it; redrawn from its curves when it changes its size."""
+    """A title with the legend, and the plot under it."""
 
     def __init__(self, *, id: str | None = None, classes: str | None = None) -> None:  # noqa: A002
         super().__init__(id=id, classes=classes)
         self._heading = Static("", classes="chart-title")
-        self._canvas = Canvas()
+        self._plot = Plot()
         self._curves: tuple[Curve, ...] = ()
-        self._x: Limits | None = None
-        self._y: Limits | None = None
         self._title = Text()
 
     def compose(self) -> ComposeResult:
         """The two parts."""
         yield self._heading
-        yield self._canvas
+        yield self._plot
 
     def on_mount(self) -> None:
-        """Draw what was given before there was anything to draw on; follow changes of the theme."""
-        self.app.theme_changed_signal.subscribe(self, lambda _theme: self._draw())
-        self.call_after_refresh(self._draw)
-
-    def on_resize(self, _event: Resize) -> None:
-        """As many points as there are columns, and as many ticks as there is room for."""
-        self.call_after_refresh(self._draw)
-
-    @property
-    def columns(self) -> int:
-        """Columns of the plot itself."""
-        return max(8, self._canvas.size.width - self._canvas.margin_left - 2)
+        """Write what was given before there was anything to write on; follow changes of the theme."""
+        self.app.theme_changed_signal.subscribe(self, lambda _theme: self._write())
+        self._write()
 
     def show(
         self, title: str | Text, curves: Sequence[Curve], x: Limits | None = None, y: Limits | None = None
     ) -> None:
         """Draw ``curves``; limits that are None are those of the points."""
         self._title = Text(title, no_wrap=True, overflow="ellipsis") if isinstance(title, str) else title
-        self._curves, self._x, self._y = tuple(curves), x, y
+        self._curves = tuple(curves)
+        span = x or _span([curve.x for curve in curves])
+        self._plot.show(curves, span, y or limits_of([curve.y for curve in curves]))
         if self.is_mounted:
-            self._draw()
+            self._write()
 
-    def colour(self, name: str) -> str:
-        """A colour of the theme in force."""
-        return self.app.theme_variables.get(name, "#888888")
-
-    def _draw(self) -> None:
-        if not self.is_mounted or not self._canvas.is_mounted or not self._canvas.size.height:
-            return
-        self._heading.update(self._legend())
-        plot = self._canvas
-        height = max(1, plot.size.height - 3)
-        plot.y_ticks.most = max(1, min(6, height // 2))
-        plot.x_ticks.most = max(2, min(10, self.columns // 9))
-        plot.clear()
-        finite_x = [curve.x for curve in self._curves]
-        plot.set_xlimits(*(self._x or _span(finite_x)))
-        plot.set_ylimits(*(self._y or limits_of([curve.y for curve in self._curves])))
-        for curve in self._curves:
-            self._draw_curve(curve)
-
-    def _legend(self) -> Text:
-        line = self._title.copy()
+    def _write(self) -> None:
+        known, line = self.app.theme_variables, self._title.copy()
         for curve in self._curves:
             if curve.label:
                 line.append("   ")
-                line.append(f"{curve.pen.value} {curve.label}", style=self.colour(curve.colour))
-        return line
-
-    def _draw_curve(self, curve: Curve) -> None:
-        colour, plot = self.colour(curve.colour), self._canvas
-        if curve.pen is Pen.DOTS:
-            x, y = envelope(curve.x, curve.y, self.columns)
-            plot.scatter(x, y, marker_style=colour, hires_mode=HiResMode.BRAILLE)
-            return
-        for x, y in _runs(curve, self.columns):
-            for part in _dashes(len(x)) if curve.pen is Pen.DASHED else (slice(0, len(x)),):
-                plot.plot(x[part], y[part], line_style=colour, hires_mode=HiResMode.BRAILLE)
+                line.append(f"{curve.pen.value} {curve.label}", style=known.get(curve.colour, "#888888"))
+        self._heading.update(line, layout=False)  # it is one line, whatever it says
 
 
 def _span(arrays: Sequence[FloatArray]) -> Limits:
     filled = [array for array in arrays if len(array)]
     if not filled:
         return 0.0, 1.0
-    low, high = min(float(a.min()) for a in filled), max(float(a.max()) for a in filled)
-    return (low, high) if high > low else (low - 0.5, high + 0.5)
+    return min(float(a.min()) for a in filled), max(float(a.max()) for a in filled)
 
 
-def _runs(curve: Curve, columns: int) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """The stretches between two lifts of the pen, reduced to what the columns can show."""
-    good = np.isfinite(curve.y)
-    breaks = np.flatnonzero(np.diff(good.astype(np.int8))) + 1
-    total = max(1, len(curve.x))
-    for part in np.split(np.arange(total), breaks) if len(curve.x) else ():
-        if not good[part[0]]:
-            continue
-        x, y = curve.x[part], curve.y[part]
-        for run in pieces(x, curve.gap):
-            share = max(2, math.ceil(columns * (run.stop - run.start) / total))
-            yield envelope(x[run], y[run], share)
+def _spread(limits: Limits) -> Limits:
+    """Limits that are apart."""
+    low, high = limits
+    return limits if high > low else (low - 0.5, high + 0.5)
 
 
-def _dashes(count: int) -> Iterator[slice]:
-    start = 0
-    while start < count:
-        yield slice(start, min(count, start + DASH))
-        start += DASH + PAUSE - 1
+def _edge(left: str, line: str, tick: str, right: str, columns: int, across: dict[int, str]) -> str:
+    return left + "".join(tick if column in across else line for column in range(columns)) + right
+
+
+def _under(across: dict[int, str], width: int) -> str:
+    """The labels of the ticks of x, each centred under its tick; one that has no room is left out."""
+    line, free = "", 0
+    for column, label in across.items():
+        start = min(MARGIN + 1 + column - len(label) // 2, width - len(label))
+        if start >= free:
+            line = line.ljust(start) + label
+            free = len(line) + 1
+    return line

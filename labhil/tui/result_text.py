@@ -80,7 +80,8 @@ def _title(text: str, colours: Colours) -> Text:
 def parameter_table(rows: Sequence[ParameterRow], colours: Colours) -> Table:
     """One row per parameter; a word says what cannot be relied on."""
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style=colours["muted"])
-    table.add_column("parameter", no_wrap=True, overflow="ellipsis", max_width=38)
+    # where room is short the name is what is cut: the one column that may be wrapped is made narrow first
+    table.add_column("parameter", overflow="ellipsis", min_width=20, max_width=38)
     table.add_column("value", justify="right", no_wrap=True)
     table.add_column("99 % interval", no_wrap=True)
     table.add_column("", no_wrap=True)

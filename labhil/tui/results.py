@@ -20,7 +20,8 @@ from labhil.campaign.studies.jobs import Job, Jobs
 from labhil.errors import LabhilError
 from labhil.report.html.schema import CurvePart, DiagnosisPart, FitPart, json_of, result_of
 from labhil.signals import FloatArray
-from labhil.tui.plot import Chart, Curve, Pen
+from labhil.tui.curve import Curve, Pen
+from labhil.tui.plot import Chart
 from labhil.tui.result_text import headline, result_renderable
 from labhil.tui.shelf import ResultFile, results
 from labhil.tui.words import duration

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import time
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
+from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
 
@@ -16,6 +18,9 @@ from labhil.recording.reader import Recording, read_recording
 LARGEST_READ = 256 << 20
 """Recordings of more bytes are listed by their size alone: reading them takes seconds."""
 
+GROWING = 3.0
+"""A file without its final name that was written to so many s ago has somebody who writes it."""
+
 LARGEST_RESULT = 64 << 20
 SCHEMAS = {"labhil.fit/1": "fit", "labhil.diagnosis/1": "diagnosis"}
 
@@ -24,7 +29,8 @@ SCHEMAS = {"labhil.fit/1": "fit", "labhil.diagnosis/1": "diagnosis"}
 class Shelved:
     """One recording. What cannot be read is None, and ``trouble`` says why.
 
-    ``duration`` in s of the device's world; ``status`` is "done", "failed", "imported" or "no end".
+    ``duration`` in s of the device's world; ``status`` is "done", "failed", "imported", "no end",
+    "growing" while somebody writes it, or "unreadable".
     """
 
     path: Path
@@ -47,19 +53,27 @@ class Shelved:
 class Shelf:
     """The recordings of a folder, read once and again only where they change."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, clock: Callable[[], float] = time.time) -> None:
+        self.folder, self._clock = folder, clock
         self._known: dict[tuple[Path, int, float], Shelved] = {}
 
     def look(self) -> Iterator[list[Shelved]]:
-        """Yield the list again and again while it is read, the newest recording first."""
+        """Yield the list again and again while it is read, the newest recording first.
+
+        A file that grows is not read: it would be read anew with each look.
+        """
         found = sorted(_recordings(self.folder), key=lambda key: -key[2])
+        self._known = {key: self._known[key] for key in found if key in self._known}
         shelved = [self._known.get(key, Shelved(*key)) for key in found]
         yield list(shelved)
         for index, key in enumerate(found):
-            if key not in self._known:
+            if key in self._known:
+                continue
+            if key[0].suffix == ".part" and abs(self._clock() - key[2]) < GROWING:
+                shelved[index] = Shelved(*key, status="growing")
+            else:
                 shelved[index] = self._known[key] = describe(*key)
-                yield list(shelved)
+            yield list(shelved)
 
 
 def _recordings(folder: Path) -> Iterator[tuple[Path, int, float]]:
@@ -122,14 +136,23 @@ def results(folder: Path) -> list[ResultFile]:
     for path in folder.glob("*.json"):
         try:
             about = path.stat()
-            if about.st_size > LARGEST_RESULT:
-                continue
-            schema = json.loads(path.read_text(encoding="utf-8")).get("schema")
-        except (OSError, ValueError, AttributeError):
-            continue
-        if schema in SCHEMAS:
-            found.append(ResultFile(path, SCHEMAS[schema], about.st_mtime))
+        except OSError:
+            continue  # gone between listing and looking
+        kind = _kind(path, about.st_size, about.st_mtime_ns)
+        if kind is not None:
+            found.append(ResultFile(path, kind, about.st_mtime))
     return sorted(found, key=lambda result: -result.modified)
+
+
+@lru_cache(maxsize=4096)
+def _kind(path: Path, size: int, _modified_ns: int) -> str | None:
+    """What a file of that size and age holds, None where it is no result; looked into once."""
+    if size > LARGEST_RESULT:
+        return None
+    try:
+        return SCHEMAS.get(json.loads(path.read_text(encoding="utf-8")).get("schema"))
+    except (OSError, ValueError, AttributeError, TypeError):
+        return None
 
 
 @dataclass(frozen=True, slots=True)

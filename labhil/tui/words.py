@@ -51,6 +51,7 @@ RUN_STATES = {
 ENDED = {
     "done": Look("✓", "done", "success"),
     "imported": Look("⇣", "imported", "foreground"),
+    "growing": Look("●", "growing", "accent"),
     "no end": Look("▲", "no end", "warning"),
     "unreadable": Look("✕", "unreadable", "error"),
 }

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import json
+import queue
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 
+from labhil.campaign.studies.jobs import Jobs
 from labhil.campaign.studies.process import Helper
 from labhil.campaign.studies.study import Task, free_name
 from labhil.signals import Batch, Direction, Signal, Stream
-from labhil.tui.plot import Ticks, limits_of, round_step
 from labhil.tui.ring import Ring, envelope, pieces
 from labhil.tui.shelf import Shelf, experiments, results
+from labhil.tui.ticks import labels, limits_of, round_step, ticks
 from labhil.tui.watch import StreamWatch
 
 STREAM = Stream("state", (Signal("x", "m", Direction.OUTPUT),), 100.0)
@@ -60,10 +63,10 @@ def test_the_pen_is_lifted_where_samples_are_missing() -> None:
 def test_ticks_are_at_least_two_at_round_places_within_the_limits(
     limits: tuple[float, float], most: int
 ) -> None:
-    ticks = Ticks(most).get_ticks(*limits)
-    assert 2 <= len(ticks) <= 2 * most + 3
-    assert limits[0] - 1e-9 * abs(limits[0]) <= ticks[0] < ticks[-1] <= limits[1] * (1 + 1e-9)
-    assert len(set(Ticks(most).get_labels_for_ticks(ticks))) == len(ticks)
+    found = ticks(*limits, most)
+    assert 2 <= len(found) <= 2 * most + 3
+    assert limits[0] - 1e-9 * abs(limits[0]) <= found[0] < found[-1] <= limits[1] * (1 + 1e-9)
+    assert len(set(labels(found))) == len(found)
 
 
 def test_limits_contain_the_data_and_survive_none() -> None:
@@ -113,6 +116,19 @@ def test_a_study_of_what_is_not_there_fails_with_words(tmp_path: Path) -> None:
     helper.close()
     assert "nothing.mcap" in next(line["failed"] for line in said if "failed" in line)
     assert said[-1]["ended"] == 2
+
+
+def test_a_study_that_is_over_holds_nothing_open(tmp_path: Path) -> None:
+    said: queue.SimpleQueue[tuple[int, dict[str, Any]]] = queue.SimpleQueue()
+    jobs = Jobs(lambda number, line: said.put((number, line)), time.monotonic)
+    before = psutil.Process().num_fds()
+    job = jobs.start(Task("export", (tmp_path / "nothing.mcap",)))
+    line: dict[str, Any] = {}
+    while "ended" not in line:
+        number, line = said.get(timeout=60.0)
+        jobs.take(number, line)
+    assert (job.state, "nothing.mcap" in job.said) == ("failed", True)
+    assert psutil.Process().num_fds() == before
 
 
 @pytest.mark.extended

@@ -25,6 +25,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 from still import NOW_NS, StillLab
 
 SCREENS = Path(__file__).parent / "screens"
+PICTURES = Path(__file__).parents[2] / "docs" / "tui"
+OFTEN = ("devices", "live", "experiment", "results")
 SMALL, LARGE = (80, 24), (160, 50)
 SETTLED = 0.15
 
@@ -50,6 +52,10 @@ async def stopped(pilot: Pilot[None], app: LabApp) -> None:
     await keys("1", "f12")(pilot, app)
 
 
+async def release(pilot: Pilot[None], app: LabApp) -> None:
+    await keys("1", "f12", "f9")(pilot, app)
+
+
 SHOWN: dict[str, Go] = {
     "devices": keys("1"),
     "live": keys("2"),
@@ -57,8 +63,29 @@ SHOWN: dict[str, Go] = {
     "recordings": keys("4", "space", "down", "t"),
     "recording": keys("4", "enter"),
     "results": keys("5"),
+    "fit": keys("5", "down"),
+    "charts": keys("5", "g"),
     "stopped": stopped,
+    "release": release,
+    "verify": keys("4", "v"),
+    "keys": keys("4", "question_mark"),
+    "palette": keys("1", "ctrl+p"),
 }
+DOCUMENTED = {
+    "devices-80x24": "devices",
+    "live-160x50": "live",
+    "experiment-160x50": "experiment",
+    "recordings-80x24": "recordings",
+    "recording-160x50": "recording",
+    "results-160x50": "results",
+    "fit-160x50": "fit",
+    "stopped-80x24": "stopped",
+    "release-80x24": "release",
+    "verify-80x24": "verify",
+    "keys-80x24": "keys",
+    "palette-80x24": "palette",
+}
+"""Which of these pictures stand in docs/tui, under what name."""
 
 
 async def settle(pilot: Pilot[None]) -> None:
@@ -82,6 +109,8 @@ def check(name: str, found: str, tmp_path: Path) -> None:
     kept = SCREENS / f"{name}.svg.gz"
     if os.environ.get("LABHIL_DRAW_SCREENS"):
         kept.write_bytes(gzip.compress(found.encode(), mtime=0))
+        if name in DOCUMENTED:
+            (PICTURES / f"{DOCUMENTED[name]}.svg").write_text(found, encoding="utf-8")
     expected = gzip.decompress(kept.read_bytes()).decode()
     if found != expected:
         was, now = tmp_path / f"{name}.was.svg", tmp_path / f"{name}.now.svg"
@@ -101,13 +130,13 @@ def draw(name: str, folder: Path, tmp_path: Path, size: tuple[int, int], theme: 
     check(f"{name}-{size[0]}x{size[1]}{sort}", found, tmp_path)
 
 
-@pytest.mark.parametrize("name", ["devices", "live", "experiment", "results"])
+@pytest.mark.parametrize("name", OFTEN)
 def test_a_small_terminal_shows_all_that_matters(name: str, folder: Path, tmp_path: Path) -> None:
     draw(name, folder, tmp_path, SMALL)
 
 
 @pytest.mark.extended
-@pytest.mark.parametrize("name", ["recordings", "recording", "stopped"])
+@pytest.mark.parametrize("name", [name for name in SHOWN if name not in OFTEN])
 def test_a_small_terminal_shows_the_rest_too(name: str, folder: Path, tmp_path: Path) -> None:
     draw(name, folder, tmp_path, SMALL)
 
@@ -128,3 +157,9 @@ def test_the_light_theme(name: str, folder: Path, tmp_path: Path) -> None:
 def test_with_nothing_there_the_first_screen_says_what_to_do(folder: Path) -> None:
     found = asyncio.run(picture(folder, keys("1"), SMALL, DARK.name, empty=True))
     assert "Enter" in found
+
+
+@pytest.mark.parametrize("name", DOCUMENTED)
+def test_the_pictures_of_the_documentation_are_of_today(name: str) -> None:
+    kept = gzip.decompress((SCREENS / f"{name}.svg.gz").read_bytes()).decode()
+    assert (PICTURES / f"{DOCUMENTED[name]}.svg").read_text(encoding="utf-8") == kept

@@ -14,6 +14,7 @@ from labhil.campaign.benchmark.summary import Summary, summarise
 from labhil.campaign.benchmark.trial import Case, Row, Trial, run_trial
 from labhil.errors import UnknownNameError, UsageError
 from labhil.report.results import finite
+from labhil.whole import whole
 
 
 def run_benchmark(
@@ -60,7 +61,8 @@ def _cases(names: Sequence[str], option: str, count: int, out: Path) -> list[Cas
 
 def _write(data: list[dict[str, Any]], path: Path) -> None:
     text = json.dumps([finite(each) for each in data], ensure_ascii=False, indent=1)
-    path.write_text(text + "\n", encoding="utf-8")
+    with whole(path, "the result") as draft:
+        draft.write_text(text + "\n", encoding="utf-8")
 
 
 def _one(name: str, seed: int, coloured: bool) -> Trial:

@@ -13,6 +13,7 @@ from labhil.campaign.reference.result import Reference
 from labhil.campaign.reference.run import Progress, run_reference
 from labhil.campaign.reference.show import show_reference
 from labhil.report.results import write_json
+from labhil.whole import whole
 
 WIDTH = 200
 """Columns of the widest table where nobody says how wide the terminal is."""
@@ -39,7 +40,8 @@ def reference_command(
     shown = shown if shown.is_terminal else Console(file=shown.file, width=WIDTH)
     shown.print(show_reference(reference))
     if markdown is not None:
-        markdown.write_text(page(reference), encoding="utf-8")
+        with whole(markdown, "the page") as draft:
+            draft.write_text(page(reference), encoding="utf-8")
     if json_path is not None:
         write_json(reference.to_json(), json_path)
     return reference

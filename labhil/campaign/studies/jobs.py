@@ -54,6 +54,8 @@ class Jobs:
     def take(self, number: int, line: dict[str, Any]) -> Job:
         """Follow what a job says; called in one thread."""
         job = self.all[number]
+        if "ended" in line:
+            job.helper.close(CANCEL_PATIENCE)  # its pipes would stay open, and a service lives for months
         if job.state != "at work":
             return job
         if "progress" in line:

@@ -7,8 +7,8 @@ from importlib.resources import files
 from pathlib import Path
 
 from labhil import __version__
-from labhil.errors import UsageError
 from labhil.report.html.element import Content, Markup, joined, tag
+from labhil.whole import whole
 
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 """What a browser may load for a page: nothing from anywhere, and no scripts."""
@@ -62,11 +62,9 @@ def present(*sections: Section | None) -> tuple[Section, ...]:
 
 
 def write_page(page: Page, path: Path) -> None:
-    """Write a page; UsageError when the file cannot be written."""
-    try:
-        path.write_text(page.html(), encoding="utf-8")
-    except OSError as error:
-        raise UsageError(f"{path}: the page cannot be written: {error}") from error
+    """Write a page; UsageError when the file cannot be written, DiskFailedError when the disk is full."""
+    with whole(path, "the page") as draft:
+        draft.write_text(page.html(), encoding="utf-8")
 
 
 def _header(page: Page) -> Markup:

@@ -1,0 +1,86 @@
+"""A curve, and how it is put on a raster: lines told apart by how they are drawn, not by colour alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from labhil.signals import FloatArray
+from labhil.tui.raster import ACROSS, DOWN, Raster
+from labhil.tui.ring import envelope, pieces
+from labhil.tui.ticks import Limits
+
+
+class Pen(StrEnum):
+    """How a line is drawn; its picture stands in the legend."""
+
+    SOLID = "━━"
+    DASHED = "╍╍"
+    DOTS = "··"
+
+
+PENS = (Pen.SOLID, Pen.DASHED, Pen.DOTS)
+DASH, PAUSE = 4, 4
+"""Points of the drawn curve."""
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """A line of points (n,), or dots; NaN in ``y`` and steps longer than ``gap`` in ``x`` lift the pen.
+
+    ``colour`` is a name from the theme, as ``curve-0``.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    colour: str = "curve-0"
+    pen: Pen = Pen.SOLID
+    label: str = ""
+    gap: float = math.inf
+
+
+def drawn(curves: Sequence[Curve], x: Limits, y: Limits, columns: int, rows: int) -> Raster:
+    """Return a raster of so many cells with the curves between the limits; each is owned by its number."""
+    raster = Raster(columns, rows)
+    for number, curve in enumerate(curves):
+        seen = _within(curve, x)
+        runs = [envelope(seen.x, seen.y, columns)] if curve.pen is Pen.DOTS else _runs(seen, columns)
+        for part_x, part_y in runs:
+            across = (part_x - x[0]) * ((ACROSS * columns - 1) / (x[1] - x[0]))
+            down = (y[1] - part_y) * ((DOWN * rows - 1) / (y[1] - y[0]))
+            if curve.pen is Pen.DOTS:
+                raster.dots(across, down, number)
+            elif curve.pen is Pen.DASHED:
+                raster.line(across, down, number, np.arange(len(part_x) - 1) % (DASH + PAUSE) < DASH)
+            else:
+                raster.line(across, down, number)
+    return raster
+
+
+def _within(curve: Curve, limits: Limits) -> Curve:
+    """The points between the limits, and for each end one beyond them, so that lines go on to the edge."""
+    inside = (curve.x >= limits[0]) & (curve.x <= limits[1])
+    if inside.all():
+        return curve
+    near = inside.copy()
+    near[1:] |= inside[:-1]
+    near[:-1] |= inside[1:]
+    return Curve(curve.x[near], curve.y[near], curve.colour, curve.pen, curve.label, curve.gap)
+
+
+def _runs(curve: Curve, columns: int) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """The stretches between two lifts of the pen, reduced to what the columns can show."""
+    good = np.isfinite(curve.y)
+    breaks = np.flatnonzero(np.diff(good.astype(np.int8))) + 1
+    total = max(1, len(curve.x))
+    for part in np.split(np.arange(total), breaks) if len(curve.x) else ():
+        if not good[part[0]]:
+            continue
+        x, y = curve.x[part], curve.y[part]
+        for run in pieces(x, curve.gap):
+            share = max(2, math.ceil(columns * (run.stop - run.start) / total))
+            yield envelope(x[run], y[run], share)

@@ -1,0 +1,63 @@
+"""Limits and ticks of an axis, at round numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from labhil.signals import FloatArray
+
+Limits = tuple[float, float]
+
+
+def ticks(low: float, high: float, most: int = 4) -> list[float]:
+    """Return about ``most`` round numbers from ``low`` to ``high``, at least two where these differ."""
+    if not (math.isfinite(high - low) and high > low):
+        return []
+    step = round_step((high - low) / max(1, most))
+    found = _multiples(step, low, high)
+    for _ in range(3):
+        if len(found) < 2:  # a single tick says nothing of the scale
+            step = round_step(step / 2.6)
+            found = _multiples(step, low, high)
+    return found
+
+
+def labels(found: Sequence[float]) -> list[str]:
+    """Return what stands at these ticks."""
+    if not found:
+        return []
+    step = found[1] - found[0] if len(found) > 1 else abs(found[0]) or 1.0
+    largest = max(abs(tick) for tick in found)
+    if largest >= 1e5 or (0 < largest < 1e-3):
+        return [f"{tick:.1e}".replace("e-0", "e-").replace("e+0", "e") for tick in found]
+    decimals = max(0, -math.floor(math.log10(step) + 1e-9))
+    return [f"{tick + 0.0:.{decimals}f}".replace("-", "−") for tick in found]
+
+
+def _multiples(step: float, low: float, high: float) -> list[float]:
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return [number * step for number in range(first, last + 1)]
+
+
+def round_step(step: float) -> float:
+    """The smallest of 1, 2, 5 times a power of ten that is not smaller than ``step``."""
+    if not step > 0:
+        return 1.0
+    power = 10.0 ** math.floor(math.log10(step))
+    return next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= step * (1 - 1e-9))
+
+
+def limits_of(values: Sequence[FloatArray]) -> Limits:
+    """Round limits around all finite values, with a little room; (−1, 1) where there are none."""
+    finite = [v[np.isfinite(v)] for v in values]
+    finite = [v for v in finite if len(v)]
+    if not finite:
+        return -1.0, 1.0
+    low, high = min(float(v.min()) for v in finite), max(float(v.max()) for v in finite)
+    middle, half = (low + high) / 2, (high - low) / 2
+    half = max(half * 1.05, abs(middle) * 1e-6, 1e-12)
+    step = round_step(half / 2.5)
+    return math.floor((middle - half) / step) * step, math.ceil((middle + half) / step) * step

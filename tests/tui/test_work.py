@@ -1,0 +1,186 @@
+"""The screen at work on files, and on a bus that nobody told it of: export, verification, --connect."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from textual.pilot import Pilot
+from textual.widgets import DataTable, OptionList, Static
+
+from labhil.bus.register import running
+from labhil.recording.reader import read_recording
+from labhil.tui.app import LabApp
+from labhil.tui.dialogs import Choose, Tell
+from labhil.tui.lab import Lab
+
+PATIENCE = 100.0
+LABHIL = (sys.executable, "-P", "-m", "labhil")
+LAB = """
+[lab]
+record = false
+analyse = []
+[devices.far]
+plugin = "ball_beam"
+address = "twin"
+"""
+
+pytestmark = [pytest.mark.timeout(300), pytest.mark.extended]
+
+Drive = Callable[[Pilot[None], LabApp], Awaitable[None]]
+
+
+def work(folder: Path, drive: Drive, connect: tuple[str, ...] = (), size: tuple[int, int] = (80, 24)) -> None:
+    async def go() -> None:
+        with Lab(connect) as lab:
+            app = LabApp(folder, lab)
+            async with app.run_test(size=size) as pilot:
+                await drive(pilot, app)
+
+    asyncio.run(go())
+
+
+async def until(pilot: Pilot[None], condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline, "it did not come to that"
+        await pilot.pause(0.05)
+
+
+async def recordings(pilot: Pilot[None], app: LabApp) -> None:
+    await pilot.press("4")
+    await until(pilot, lambda: app.query_one("#recordings-table", DataTable).row_count == 2)
+
+
+@pytest.mark.parametrize("size", [(80, 24), (160, 50)])
+def test_x_writes_the_samples_as_csv_and_says_so(folder: Path, size: tuple[int, int]) -> None:
+    async def drive(pilot: Pilot[None], app: LabApp) -> None:
+        await recordings(pilot, app)
+        await pilot.press("x")
+        await until(pilot, lambda: bool(app.jobs.all) and app.jobs.all[0].state != "at work")
+        assert app.jobs.all[0].state == "done", app.jobs.all[0].said
+        assert [note.title for note in app._notifications if note.message == "done"]
+
+    work(folder, drive, size=size)
+    written = folder / "ball_beam_identify.csv"
+    data = read_recording(folder / "ball_beam_identify.mcap").stream_with("ball_position")
+    assert written.read_text().startswith("t,ball_position,")
+    table = np.loadtxt(written, delimiter=",", skiprows=1)
+    assert np.array_equal(table[:, 0], data.t)
+    assert np.array_equal(table[:, 1], data["ball_position"])
+
+
+def test_an_export_that_fails_is_told_and_leaves_nothing(folder: Path) -> None:
+    (folder / "ball_beam_identify.csv").write_text("precious")
+    before = sorted(folder.iterdir())
+
+    async def drive(pilot: Pilot[None], app: LabApp) -> None:
+        await recordings(pilot, app)
+        (folder / "ball_beam_identify.mcap").unlink()
+        await pilot.press("x")
+        await until(pilot, lambda: bool(app.jobs.all) and app.jobs.all[0].state == "failed")
+        assert "ball_beam_identify.mcap" in app.jobs.all[0].said
+
+    work(folder, drive)
+    left = [path for path in before if path.name != "ball_beam_identify.mcap"]
+    assert sorted(folder.iterdir()) == left
+
+
+@pytest.mark.parametrize("size", [(80, 24), (160, 50)])
+def test_v_holds_a_recording_against_a_result_of_the_folder(folder: Path, size: tuple[int, int]) -> None:
+    async def drive(pilot: Pilot[None], app: LabApp) -> None:
+        await recordings(pilot, app)
+        await pilot.press("v")
+        await until(pilot, lambda: isinstance(app.screen, Choose))
+        shown = app.screen.query_one(OptionList)
+        names = [str(shown.get_option_at_index(i).prompt) for i in range(shown.option_count)]
+        assert names == ["ball_beam_identify.diagnosis.json", "ball_beam_identify.fit.json"]
+        await pilot.press("down", "enter")
+        await until(pilot, lambda: isinstance(app.screen, Tell))
+        told = "\n".join(str(static.render()) for static in app.screen.query(Static))
+        assert "verify ball_beam_identify" in told
+        assert "p = " in told or "p-value" in told, told
+        await pilot.press("escape")
+        assert app.jobs.all[0].state == "done"
+
+    work(folder, drive, size=size)
+
+
+def test_v_without_any_result_says_what_to_do(folder: Path) -> None:
+    for path in folder.glob("*.json"):
+        path.unlink()
+
+    async def drive(pilot: Pilot[None], app: LabApp) -> None:
+        await recordings(pilot, app)
+        await pilot.press("v")
+        await until(pilot, lambda: len(app._notifications) > 0)
+        assert next(note.message for note in app._notifications).startswith("There is no fit or diagnosis")
+        assert app.jobs.all == []
+
+    work(folder, drive)
+
+
+def test_connect_shows_a_bus_that_does_not_announce_itself_and_stops_its_devices(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A service of another user, as it were: its notes are where this screen cannot see them."""
+    (tmp_path / "lab.toml").write_text(LAB)
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir(mode=0o700)
+    service = subprocess.Popen(
+        [*LABHIL, "serve", "--config", "lab.toml"],
+        cwd=tmp_path,
+        env={**os.environ, "XDG_RUNTIME_DIR": str(elsewhere)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    assert service.stdout is not None
+    try:
+        endpoint = service.stdout.readline().strip()
+        assert running() == ()
+
+        async def drive(pilot: Pilot[None], app: LabApp) -> None:
+            await until(pilot, lambda: [view.name for _, view in app.lab.devices()] == ["far"])
+            await until(pilot, lambda: app.lab.devices()[0][1].beat is not None)
+            await pilot.press("2")
+            await until(pilot, lambda: len(app.lab.places()) > 0)
+            await pilot.press("f12")
+            await until(pilot, lambda: app.outcome is not None and "far" in app.outcome.answered)
+            await until(pilot, lambda: app.lab.devices()[0][1].state == "latched")
+            await pilot.press("f9", "y")
+            await until(pilot, lambda: app.stopped is None)
+
+        work(tmp_path, drive, (endpoint,))
+    finally:
+        service.send_signal(signal.SIGINT)
+        service.wait(PATIENCE)
+        service.stdout.close()
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "told"),
+    [("tcp/127.0.0.1:1", "tcp/127.0.0.1:1"), ("nonsense", "nonsense")],
+)
+def test_connect_to_nobody_is_told_before_the_screen_is_drawn(
+    tmp_path: Path, endpoint: str, told: str
+) -> None:
+    done = subprocess.run(
+        [*LABHIL, "tui", "--folder", str(tmp_path), "--connect", endpoint],
+        capture_output=True,
+        text=True,
+        check=False,
+        stdin=subprocess.DEVNULL,
+    )
+    assert done.returncode in (1, 2)
+    assert told in done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stdout == ""
