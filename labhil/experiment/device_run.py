@@ -40,6 +40,7 @@ ALWAYS: Mapping[str, type[LabhilError]] = {"estop": EmergencyStopError}
 UNLESS_RESTING: Mapping[str, type[LabhilError]] = {"tripped": LimitTrippedError, "interlock": InterlockError}
 WHILE_RUNNING: Mapping[str, tuple[type[LabhilError], str]] = {
     "watchdog": (RunError, ""),
+    "quiet": (RunError, ""),
     "refused": (RunError, " (a setpoint was refused)"),
     "safe": (RunStoppedError, " (somebody else stopped the device)"),
 }
