@@ -110,7 +110,9 @@ def measure(rate: int, seconds: float, folder: Path) -> dict[str, Any]:
     TimedWriter.ages = []
     meter = Meter()
     meter.start()
-    result = run_experiment(parse_experiment(text.replace("SECONDS", f"{seconds}"), folder / "e.toml"), folder)
+    result = run_experiment(
+        parse_experiment(text.replace("SECONDS", f"{seconds}"), folder / "e.toml"), folder
+    )
     meter.over.set()
     meter.join()
     if result.path is None:
