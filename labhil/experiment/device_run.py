@@ -73,6 +73,7 @@ class DeviceRun:
         self._started_at_ns: int | None = None
         self._since_ns = 0
         self._resting = False
+        self._stalled = ""
         self._running = False
         self._token = ""
         self._setpoints = bus.session.declare_publisher(
@@ -124,6 +125,7 @@ class DeviceRun:
         self._since_ns = time.time_ns()
         self._started_at_ns = None  # however long the device has rested, its steps go on where they were
         self.rests, self.comes_back = "", False
+        self._stalled = ""
         self._approach.begin()
         self._waypoints.begin()
         self._resting = False
@@ -196,7 +198,11 @@ class DeviceRun:
             return None  # the device is in its safe state, and whoever takes the lease is told what stands
         if kind in UNLESS_RESTING:
             return UNLESS_RESTING[kind](message)
+        if self._running and kind == "quiet":
+            self._stalled = message  # silent for good or only late: the host will tell, or the next setpoint
         if self._running and kind in WHILE_RUNNING:
             error, note = WHILE_RUNNING[kind]
+            if kind == "refused" and self._stalled:
+                return RunError(f"{self._stalled}, and then did again: `reconnect = true` lets a run wait")
             return error(f"{message}{note}")
         return None

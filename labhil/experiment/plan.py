@@ -136,12 +136,19 @@ def _step_plan(path: Path, timed: TimedStep, device: DevicePlan) -> StepPlan:
         )
     rate, command = device.spec.stream.rate, commands[step.signal]
     values = _values(place, timed, command, rate)
-    before = np.vstack([_safe_values(device.spec, command, values), values[:-1]])
+    safe = _safe_values(device.spec, command, values)
+    before = np.vstack([safe, values[:-1]])
     lowest, highest = float(values.min()), float(values.max())
     fastest = float(np.max(np.abs(values - before))) * rate
     limit = device.rig.limits.get(step.signal) or device.rig.limits.get(_vector_of(step.signal))
     reach = (lowest, highest, fastest)
     warnings = () if limit is None else _against(place, step.signal, command.unit, reach, limit)
+    away = _longest_away(values, safe) / rate
+    if away > device.spec.longest_output:
+        warnings += (
+            f"{place}: {step.signal} is not at its safe value for {away:g} s without a break; the device "
+            f"ends an output after {device.spec.longest_output:g} s, and the run ends with it",
+        )
     return StepPlan(timed, command.unit, *reach, spectrum_of(values, rate), warnings)
 
 
@@ -183,6 +190,12 @@ def _safe_values(spec: DriverSpec, command: Signal, values: FloatArray) -> Float
             for column, begun in zip(command.columns(), begins, strict=True)
         ]
     )
+
+
+def _longest_away(values: FloatArray, safe: FloatArray) -> int:
+    """How many samples in a row, at most, are not at the safe values."""
+    at_rest = np.flatnonzero(np.all(values == safe, axis=1))
+    return int(np.diff(np.concatenate([[-1], at_rest, [len(values)]])).max()) - 1
 
 
 def _against(

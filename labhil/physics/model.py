@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from labhil.errors import RecordingError, UnknownNameError
+from labhil.errors import RecordingError, UnknownNameError, UsageError
 from labhil.physics.terms import Parameter, Term, Yardstick
 from labhil.signals import FloatArray, Hold, IntArray
 
@@ -344,7 +344,7 @@ def starts_of(model: Model, terms: Sequence[Term], record: Record) -> list[dict[
 def terms_named(model: Model, names: Sequence[str]) -> tuple[Term, ...]:
     """The terms of a model by name or key, duplicates removed; a name alone means all joints.
 
-    UnknownNameError lists the terms that exist.
+    UnknownNameError lists the terms that exist; UsageError tells why one cannot be seen in this recording.
     """
     by_name: dict[str, list[str]] = {}
     for key, term in model.terms.items():
@@ -352,6 +352,8 @@ def terms_named(model: Model, names: Sequence[str]) -> tuple[Term, ...]:
     keys: list[str] = []
     for name in names:
         if name not in model.terms and name not in by_name:
+            if name in model.never_seen:
+                raise UsageError(f"{name}: this recording cannot show it: {model.never_seen[name]}")
             raise UnknownNameError(f"term of {model.kind}", name, by_name)
         keys += [name] if name in model.terms else by_name[name]
     return tuple(model.terms[key] for key in dict.fromkeys(keys))

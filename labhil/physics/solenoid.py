@@ -4,6 +4,10 @@ Equations 4.10 and 4.11 of the reference text, F a third-order polynomial in cur
 The text gives no coefficients: the default map is ours (0 N without current, about 70 N at 2.7 A), and
 [known] force_map replaces it by a table, to which the polynomial is fitted. Eddy currents and hysteresis
 act between the current and the force.
+
+The current that drives it is the measured one. What an amplifier or its loop does to a command (lag, play,
+dead zone, limits) has happened before, and no recording of current and position can tell of it: behind a
+measured current a lag is the field's and a play is the iron's. Such terms are not offered, see ``AMPLIFIER``.
 """
 
 from __future__ import annotations
@@ -34,6 +38,8 @@ COLUMNS = ("coil_current", "plunger_position", "magnetic_force")
 PERIODS = 5.0
 DAMPING_TIMES = 3.0
 TYPICAL_MASS, TYPICAL_STIFFNESS = 0.05, 5000.0
+AMPLIFIER = ("actuator_lag", "backlash", "dead_zone", "rate_limit", "saturation")
+"""Terms of an input that lie before the measured current."""
 MAGNETIC = ("residual_magnetism.current", "magnetic_saturation.coefficient")
 
 
@@ -128,7 +134,8 @@ def catalogue(level: float, speed: float) -> dict[str, Term]:
         "motion both ways; a spring's preload looks the same away from the stops",
         (Parameter("constant_force.force", "N", level),),
     )  # fmt: skip
-    terms = friction_terms("N", "m", level, speed) + loads + magnetic + input_terms("A")
+    way_in = tuple(term for term in input_terms("A") if term.key not in AMPLIFIER)
+    terms = friction_terms("N", "m", level, speed) + loads + magnetic + way_in
     terms += (constant, load_dependent_friction("the magnet's force (its side pull)"))
     terms += (*output_terms("plunger_position", "m", STROKE), offset_term("plunger_position", "m", 1e-4))
     return {term.key: term for term in terms}
@@ -156,7 +163,8 @@ class SolenoidModel:
     turn = 0.0
     _extra: ExtraForce | None = None
     never_seen: Mapping[str, str] = {
-        "motional_emf": "the current is measured: a voltage that the motion induces changes nothing else"
+        "motional_emf": "the current is measured: a voltage that the motion induces changes nothing else",
+        **dict.fromkeys(AMPLIFIER, "the current is measured: what the amplifier does to it comes before"),
     }
 
     def __init__(self, rig: RigFile, record: Record | None = None) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from labhil.plants.effects import Effect
-from labhil.plants.world import FRICTION, POSITIVE, SAMPLING, WAY_IN, WAY_OUT, World, sized
+from labhil.plants.world import FRICTION, POSITIVE, SAMPLING, WAY_OUT, World, sized
 
 STROKE = 0.005
 COPPER = 0.0039
@@ -71,17 +71,8 @@ SOLENOID = World(
             "the amplifier's switching on current (A) and voltage (V), Hz",
             {"current": 0.02, "voltage": 0.5, "frequency": 20013.0},
         ),
-        **sized(
-            WAY_IN,
-            {
-                "time_delay": {"delay": 0.002},
-                "dead_zone": {"left": 0.1, "right": 0.1},
-                "saturation": {"limit": 1.5},
-                "backlash": {"gap": 0.1},
-                "actuator_lag": {"time_constant": 0.003},
-                "rate_limit": {"rate": 20.0},
-            },
-        ),
+        # no other way in: the input is the coil's current itself, and what drives it is the current loop's
+        "time_delay": Effect("the position is seen later than the current, s", {"delay": 0.002}),
         **sized(
             WAY_OUT,
             {

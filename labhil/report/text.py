@@ -261,8 +261,10 @@ def diagnosis_text(diagnosis: Diagnosis) -> RenderableType:
                 style="dim",
             )
         )
+    undecided: dict[str, list[str]] = {}
+    for item in diagnosis.undecided:
+        undecided.setdefault(item.reason, []).append(keyed(item.term, item.joint))
     parts += [
-        Text(f"Undecided: {keyed(item.term, item.joint)}: {item.reason}.", style="dim")
-        for item in diagnosis.undecided
+        Text(f"Undecided: {', '.join(names)}: {reason}.", style="dim") for reason, names in undecided.items()
     ]
     return Group(*parts)

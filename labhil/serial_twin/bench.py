@@ -27,8 +27,8 @@ class SimulatedRig(Protocol):
         """Put the plant where it begins: a client has opened the wire."""
         ...
 
-    def rest(self, output: int) -> Raw:
-        """One sample (1, fitted channels) before anything was commanded."""
+    def rest(self, output: int, count: int) -> Raw:
+        """What is sampled (count, fitted channels) before anything was commanded."""
         ...
 
     def samples(self, output: int, count: int) -> Raw:
@@ -109,13 +109,15 @@ class Bench:
         """Take the samples that are due by ``until``."""
         count = int((until - self._due) / self._pace) + 1 if until >= self._due else 0
         while count > 0:
-            taken = self._sample(1 if self._held else min(count, self._per_turn), now)
+            # the sample at which the first command is taken over is still one at rest
+            released = self._held and self._firmware.was_set
+            taken = self._sample(1 if released else min(count, self._per_turn), now)
             self._due += taken * self._pace
             count -= taken
 
     def _sample(self, count: int, now: float) -> int:
         if self._held:
-            rows = self._rig.rest(self._firmware.output)
+            rows = self._rig.rest(self._firmware.output, count)
             self._held = not self._firmware.was_set
         else:
             rows = self._rig.samples(self._firmware.output, count)

@@ -134,7 +134,7 @@ class DeviceControl:
                 before = now
         finally:
             self._driver.safe()
-        self._become(HostState.STOPPED, reason)
+        self._become(HostState.STOPPED, reason, counters=asdict(self._driver.counters))
         return reason
 
     def _turn(self, before: float) -> float:
@@ -376,10 +376,10 @@ class DeviceControl:
         self._lease.revoke()
         self._become(state, reason, kind, **more)
 
-    def _become(self, state: HostState, reason: str, kind: str | None = None, **more: str) -> None:
+    def _become(self, state: HostState, reason: str, kind: str | None = None, **more: object) -> None:
         self.state, self._reason = state, reason
         self._announce(kind or state.value, reason, **more)
 
-    def _announce(self, kind: str, message: str, **more: str) -> None:
+    def _announce(self, kind: str, message: str, **more: object) -> None:
         data = {"t_ns": time.time_ns(), "kind": kind, "state": self.state.value, "message": message, **more}
         publish_event(self._bus, self._config.device, data)

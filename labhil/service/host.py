@@ -15,13 +15,14 @@ import select
 import signal
 import sys
 import time
+from dataclasses import asdict
 from types import FrameType
 from typing import Any
 
 from labhil.bus.publish import publish_event
 from labhil.bus.register import registered
 from labhil.bus.session import Bus, open_bus
-from labhil.driver import DeviceInfo, Driver
+from labhil.driver import Counters, DeviceInfo, Driver
 from labhil.errors import LabhilError, RigFileError
 from labhil.plugins import load_driver
 from labhil.service.control import DeviceControl
@@ -68,7 +69,7 @@ def serve_device(config: HostConfig, ended: EndOfInput) -> str:
                 return control.run()
         except LabhilError as error:
             driver.safe()
-            announce_failure(bus, config.device, error)
+            announce_failure(bus, config.device, error, driver.counters)
             raise
         finally:
             driver.safe()
@@ -101,11 +102,11 @@ def described(driver: Driver, info: DeviceInfo) -> dict[str, Any]:
     }
 
 
-def announce_failure(bus: Bus, device: str, error: LabhilError) -> None:
-    """Publish that the device failed, and with what."""
+def announce_failure(bus: Bus, device: str, error: LabhilError, counters: Counters) -> None:
+    """Publish that the device failed, with what, and what had been counted on its wire by then."""
     state = HostState.FAILED.value
     data = {"t_ns": time.time_ns(), "kind": state, "state": state, "message": str(error)}
-    publish_event(bus, device, {**data, "error": type(error).__name__})
+    publish_event(bus, device, {**data, "error": type(error).__name__, "counters": asdict(counters)})
 
 
 def say(data: dict[str, Any]) -> None:

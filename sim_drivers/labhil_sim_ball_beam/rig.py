@@ -51,9 +51,9 @@ class BallBeamBench:
         self._plant.place(self._plant.parameters["start_position"])
         self._pulse = LEVEL
 
-    def rest(self, output: int) -> Raw:
-        """One sample of a ball that is held."""
-        return self._row(self._plant.count(), output)
+    def rest(self, output: int, count: int) -> Raw:
+        """Samples of a ball that is held."""
+        return np.concatenate([self._row(self._plant.count(), output) for _ in range(count)])
 
     def samples(self, output: int, count: int) -> Raw:
         """The next samples: the servo has arrived where it was sent at the sample before."""

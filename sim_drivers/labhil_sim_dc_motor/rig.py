@@ -69,9 +69,9 @@ class DcMotorBench:
         self._plant = DcMotorPlant(settings.plant, settings.terms, seed, self._period)
         self._held = STILL
 
-    def rest(self, output: int) -> Raw:
-        """One sample of a motor without voltage."""
-        return self.samples(output, 1)
+    def rest(self, output: int, count: int) -> Raw:
+        """Samples of a motor without voltage."""
+        return self.samples(output, count)
 
     def samples(self, output: int, count: int) -> Raw:
         """The next samples: the voltage of the sample before is held up to the first of them."""

@@ -79,9 +79,9 @@ class SolenoidBench:
         )
         self._held = 0
 
-    def rest(self, output: int) -> Raw:
-        """One sample of a coil without current."""
-        return self.samples(output, 1)
+    def rest(self, output: int, count: int) -> Raw:
+        """Samples of a coil without current."""
+        return self.samples(output, count)
 
     def samples(self, output: int, count: int) -> Raw:
         """The next samples: the command of the sample before acts up to the first of them."""

@@ -6,32 +6,21 @@ Where a tool is missing the tests are skipped, with what to install.
 from __future__ import annotations
 
 import contextlib
-import json
-import re
 import shutil
 import subprocess
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-HERE = Path(__file__).parent
-DRIVERS = HERE.parents[1] / "drivers"
+sys.path.insert(0, str(Path(__file__).parent))
+from simulated_board import DRIVERS, HERE, SimulatedBoard, build_firmware, build_harness, run, started
+
 SHARED = DRIVERS / "labhil_firmware" / "shared"
-HERTZ = 16e6
 SANITIZED = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 HEADERS = "#include <simavr/sim_avr.h>\n#include <libelf.h>\n"
 ASKED_FOR = "apt install gcc make gcc-avr avr-libc libsimavr-dev libelf-dev"
-
-
-def run(command: list[object], folder: Path | None = None) -> str:
-    """Run a command that must succeed; gives what it printed."""
-    done = subprocess.run(
-        [str(part) for part in command], cwd=folder, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, f"{command[0]}:\n{done.stdout}{done.stderr}"
-    return done.stdout
 
 
 def compiles(*options: str, code: str = "int main(void) { return 0; }", compiler: str = "gcc") -> bool:
@@ -56,45 +45,6 @@ def host_program(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path
     return build
 
 
-@dataclass(frozen=True, slots=True)
-class SimulatedBoard:
-    """A board that runs: ``address`` is its serial port; times are seconds of its own world."""
-
-    address: str
-    process: subprocess.Popen[str]
-    elf: Path
-
-    def tell(self, command: str) -> str:
-        """Send the harness a command; gives its answer."""
-        assert self.process.stdin is not None
-        assert self.process.stdout is not None
-        self.process.stdin.write(command + "\n")
-        self.process.stdin.flush()
-        return self.process.stdout.readline().strip()
-
-    def report(self) -> dict:
-        """What has been measured so far."""
-        return json.loads(self.tell("report"))
-
-    def silence_before_safety(self) -> float:
-        """How long after the host's last byte the outputs were safe, s; they must be by now."""
-        report = self.report()
-        assert report["safe_since"], f"the outputs are not safe: {report}"
-        return (report["safe_since"] - report["last_byte"]) / HERTZ
-
-    def symbol(self, name: str) -> int:
-        """Address of a function (in the flash) or a variable (in the memory)."""
-        found = re.search(rf"^([0-9a-f]+) \w {name}$", run(["avr-nm", self.elf]), re.MULTILINE)
-        assert found is not None, name
-        return int(found[1], 16) & 0xFFFF
-
-    def line_losses(self) -> tuple[int, int, int]:
-        """Overruns, framing errors and unsent messages, as the firmware counts them."""
-        memory = bytes.fromhex(self.tell(f"peek {self.symbol('line_losses')} 6"))
-        overruns, framing_errors, unsent = (memory[i] | memory[i + 1] << 8 for i in (0, 2, 4))
-        return overruns, framing_errors, unsent
-
-
 @pytest.fixture(scope="session")
 def firmware(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
     """Build a bench's firmware as its Makefile does; gives the ELF file."""
@@ -107,9 +57,7 @@ def firmware(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
 
     def build(name: str) -> Path:
         target = folder / name
-        if not target.exists():
-            run(["make", f"BUILD={target}"], DRIVERS / f"labhil_{name}" / "firmware")
-        return target / f"{name}.elf"
+        return target / f"{name}.elf" if target.exists() else build_firmware(name, target)
 
     return build
 
@@ -119,11 +67,7 @@ def harness(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Build what simulates a board."""
     if shutil.which("gcc") is None or not compiles("-fsyntax-only", code=HEADERS):
         pytest.skip(f"no simavr to compile against here: {ASKED_FOR}")
-    program = tmp_path_factory.mktemp("harness") / "harness"
-    sources = [HERE / name for name in ("harness.c", "board.c", "plants.c")]
-    strict = ["-std=gnu11", "-O2", "-Wall", "-Wextra", "-Werror"]
-    run(["gcc", *strict, "-o", program, *sources, "-lsimavr", "-lelf", "-lm", "-lutil"])
-    return program
+    return build_harness(tmp_path_factory.mktemp("harness"))
 
 
 @pytest.fixture(scope="session")
@@ -131,21 +75,4 @@ def simulated_board(
     harness: Path, firmware: Callable[[str], Path]
 ) -> Callable[[str], contextlib.AbstractContextManager[SimulatedBoard]]:
     """What starts a board with a bench's firmware and plant, and stops it in the end."""
-
-    @contextlib.contextmanager
-    def start(name: str) -> Iterator[SimulatedBoard]:
-        elf = firmware(name)
-        process = subprocess.Popen(
-            [str(harness), str(elf), name], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
-        assert process.stdin is not None
-        assert process.stdout is not None
-        try:
-            yield SimulatedBoard(process.stdout.readline().strip(), process, elf)
-        finally:
-            with contextlib.suppress(BrokenPipeError):
-                process.stdin.close()
-            process.wait(10)
-            process.stdout.close()
-
-    return start
+    return lambda name: started(harness, firmware(name))

@@ -32,48 +32,30 @@ SLACK = 0.03
 
 
 @pytest.fixture(scope="class")
-def ball_beam_board(simulated_board):
-    with simulated_board("ball_beam") as board:
+def board_of_class(simulated_board, request):
+    with simulated_board(request.cls.driver.spec.name) as board:
         yield board.address
 
 
-@pytest.fixture(scope="class")
-def solenoid_board(simulated_board):
-    with simulated_board("solenoid") as board:
-        yield board.address
+class OnTheBoard(DriverContract):
+    @pytest.fixture
+    def driver_address(self, board_of_class):
+        return board_of_class
 
 
-@pytest.fixture(scope="class")
-def dc_motor_board(simulated_board):
-    with simulated_board("dc_motor") as board:
-        yield board.address
-
-
-class TestBallBeam(DriverContract):
+class TestBallBeam(OnTheBoard):
     driver = BallBeamDriver
     excursion = AWAY["ball_beam"]
 
-    @pytest.fixture
-    def driver_address(self, ball_beam_board):
-        return ball_beam_board
 
-
-class TestSolenoid(DriverContract):
+class TestSolenoid(OnTheBoard):
     driver = SolenoidDriver
     excursion = AWAY["solenoid"]
 
-    @pytest.fixture
-    def driver_address(self, solenoid_board):
-        return solenoid_board
 
-
-class TestDcMotor(DriverContract):
+class TestDcMotor(OnTheBoard):
     driver = DcMotorDriver
     excursion = AWAY["dc_motor"]
-
-    @pytest.fixture
-    def driver_address(self, dc_motor_board):
-        return dc_motor_board
 
 
 @pytest.fixture(params=list(DRIVERS))

@@ -157,6 +157,24 @@ def test_an_excitation_that_is_too_fast_is_told(tmp_path: Path) -> None:
     assert "slowed to its limit of 0.5 rad/s" in told
 
 
+@pytest.mark.parametrize(("dwell", "told"), [(100.0, False), (70.0, True)])
+def test_an_output_that_the_device_will_end_is_told(tmp_path: Path, dwell: float, told: bool) -> None:
+    levels = "[1.0, 0.0]" if dwell == 100.0 else "[1.0, 0.5, 0.0]"
+    step = f'signal = "coil_current_command"\nexcitation = "steps"\nlevels = {levels}\ndwell = {dwell}\n'
+    text = f"""
+[experiment]
+name = "long"
+[devices.coil]
+plugin = "solenoid"
+address = "twin"
+[[steps]]
+device = "coil"
+{step}duration = 300.0
+"""
+    said = make_plan(parse_experiment(text, tmp_path / "e.toml")).describe()
+    assert ("ends an output after 120 s" in said) is told
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

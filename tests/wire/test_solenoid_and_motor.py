@@ -33,51 +33,37 @@ DRIVERS = {"solenoid": SolenoidDriver, "dc_motor": DcMotorDriver}
 
 
 @pytest.fixture(scope="class")
-def solenoid_twin(twin_of):
-    with twin_of("solenoid", "tcp", load_cell=1.0) as (address, _):
+def twin_of_class(twin_of, request):
+    wire, speed, parameters = request.cls.twin
+    with twin_of(request.cls.driver.spec.name, wire, speed, **parameters) as (address, _):
         yield address
 
 
-@pytest.fixture(scope="class")
-def fast_solenoid_twin(twin_of):
-    with twin_of("solenoid", sample_rate=10_000.0, samples_per_frame=20.0) as (address, _):
-        yield address
-
-
-@pytest.fixture(scope="class")
-def motor_twin(twin_of):
-    with twin_of("dc_motor", "pty", 5.0, temperature_sensor=1.0) as (address, _):
-        yield address
+class OnTheTwin(DriverContract):
+    @pytest.fixture
+    def driver_address(self, twin_of_class):
+        return twin_of_class
 
 
 @pytest.mark.extended
-class TestSolenoid(DriverContract):
+class TestSolenoid(OnTheTwin):
     driver = SolenoidDriver
     excursion = EXCURSION["solenoid"]
-
-    @pytest.fixture
-    def driver_address(self, solenoid_twin):
-        return solenoid_twin
+    twin = ("tcp", 1.0, {"load_cell": 1.0})
 
 
 @pytest.mark.extended
-class TestSolenoidAtTenKilohertz(DriverContract):
+class TestSolenoidAtTenKilohertz(OnTheTwin):
     driver = SolenoidDriver
     excursion = EXCURSION["solenoid"]
-
-    @pytest.fixture
-    def driver_address(self, fast_solenoid_twin):
-        return fast_solenoid_twin
+    twin = ("pty", 1.0, {"sample_rate": 10_000.0, "samples_per_frame": 20.0})
 
 
 @pytest.mark.extended
-class TestMotor(DriverContract):
+class TestMotor(OnTheTwin):
     driver = DcMotorDriver
     excursion = EXCURSION["dc_motor"]
-
-    @pytest.fixture
-    def driver_address(self, motor_twin):
-        return motor_twin
+    twin = ("pty", 5.0, {"temperature_sensor": 1.0})
 
 
 @pytest.mark.parametrize("kind", DRIVERS)
