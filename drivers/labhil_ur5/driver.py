@@ -43,6 +43,8 @@ PATIENCE = 0.05
 FIRST_SAMPLE = 2.0
 RESTART_AFTER = 1.0
 """How long after the loss of the client process another one is started, s."""
+GIVE_UP = 60.0
+"""How long one client after the other may be lost before somebody has to look, s."""
 
 STATES = tuple(MotionState)
 
@@ -84,7 +86,7 @@ class Ur5Driver:
         # reentrant: a signal handler may close the driver in the middle of a read
         self._reading = threading.RLock()
         self._lost_because = ""
-        self._lost_at = 0.0
+        self._lost_at = self._first_lost_at = 0.0
         self._timed = False
 
     def connect(self) -> DeviceInfo:
@@ -217,6 +219,18 @@ class Ur5Driver:
             return f"the arm's client was lost ({self._lost_because}); it is started again"
         return said_of(self._latest, commanded=self._motion.state is not MotionState.NONE)
 
+    def recovers(self) -> bool:
+        """Whether the trouble is a client process that died and is being replaced.
+
+        Where the controller ended the program, perhaps because somebody pressed stop, nothing goes on.
+        """
+        return (
+            bool(self._lost_because)
+            and self._motion.died
+            and self._latest.get("safety_mode") in SAFETY_NORMAL
+            and time.monotonic() - self._first_lost_at < GIVE_UP
+        )
+
     def command(self, values: Mapping[str, float]) -> None:
         """Go to joint angles by moveJ, set the speed slider or the digital outputs; empty: a sign of life.
 
@@ -286,6 +300,8 @@ class Ur5Driver:
         why = self._motion.look()
         now = time.monotonic()
         if why:
+            if not self._lost_because:
+                self._first_lost_at = now
             self._lost_because, self._lost_at = why, now
             self._switched.clear()
             self.counters.resets += 1

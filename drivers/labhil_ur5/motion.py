@@ -47,6 +47,8 @@ class Motion:
         self._rest = b""
         self.state = MotionState.NONE
         self.refusal = self._fault = ""
+        self.died = False
+        """Whether the client was lost by itself, and not because the controller ended its program."""
         self.starts = 0
 
     def start(self) -> None:
@@ -90,9 +92,11 @@ class Motion:
             if closed:
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     self._process.wait(0.5)
+                self.died = not self._fault
                 return self._lost(self._fault or f"the client process died{self._how()}")
             silence = START_TIMEOUT if self.state is MotionState.STARTING else SILENCE
             if time.monotonic() - self._heard_at > silence:
+                self.died = True
                 return self._lost(f"the client process said nothing for {silence:g} s{self._complaint()}")
             return ""
 
