@@ -43,6 +43,8 @@ PATIENCE = 0.05
 FIRST_SAMPLE = 2.0
 RESTART_AFTER = 1.0
 """How long after the loss of the client process another one is started, s."""
+BEGINNING = 0.2
+"""How long the client may take to say that it has begun a path, s; waypoints go on meanwhile."""
 GIVE_UP = 60.0
 """How long one client after the other may be lost before somebody has to look, s."""
 
@@ -88,6 +90,7 @@ class Ur5Driver:
         self._lost_because = ""
         self._lost_at = self._first_lost_at = 0.0
         self._timed = False
+        self._begun_at = -math.inf
 
     def connect(self) -> DeviceInfo:
         """Listen to the controller; ConnectError when it is not there, ProtocolError when it is no UR."""
@@ -267,14 +270,17 @@ class Ur5Driver:
         motion, here = self._motion, self._joints()
         self._timed = t_hw_ns is not None
         near = max(abs(a - b) for a, b in zip(q, here, strict=True)) <= THERE
+        begins = time.monotonic() - self._begun_at < BEGINNING
         if motion.state is MotionState.NONE:
             if not self.trouble():
                 motion.start()
-        elif motion.state is MotionState.IDLE and not near:
+        elif motion.state is MotionState.IDLE and not near and not (begins and self._timed):
             if t_hw_ns is not None:
                 raise CommandRefusedError(f"{self.address}: the arm does not stand where its path begins")
             motion.move(q)
         elif t_hw_ns is not None and motion.state in (MotionState.IDLE, MotionState.SERVO):
+            if not begins:
+                self._begun_at = time.monotonic() if motion.state is MotionState.IDLE else -math.inf
             motion.waypoint(t_hw_ns * 1e-9, q, here)
         else:
             motion.tell({"alive": True})
@@ -317,6 +323,7 @@ class Ur5Driver:
     def safe(self) -> None:
         """Stop on the path, and hold; never raises."""
         self._timed = False
+        self._begun_at = -math.inf
         self._target = []
         with contextlib.suppress(OSError):
             self._motion.stop()
