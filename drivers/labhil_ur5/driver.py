@@ -170,7 +170,12 @@ class Ur5Driver:
         except ConnectError:
             # a connection that breaks while the controller lives leaves a hole and nothing more
             self._receiver.close()
-            self._listen()
+            try:
+                self._listen()
+            except ConnectError as error:
+                raise ConnectError(
+                    f"{self.address}: the RTDE connection broke and could not be made again: {error}"
+                ) from error
             self.counters.resyncs += 1
             return []
 

@@ -36,6 +36,8 @@ STEPS = 14.0
 START = 90.0
 STILL, MOVING = 1e-3, 0.15
 """rad/s of the joint that the path moves."""
+AT_REST = 0.1
+"""How long it must stand to be at rest, s."""
 RATES = {"e": 500.0, "cb3": 125.0}
 ON_THE_PATH = 4
 """``client_state`` of an arm that follows waypoints."""
@@ -192,9 +194,8 @@ def seen(path: Path, status: int, reason: str, at_ns: int, rate: float) -> Outco
     hole = float(holes[longest]) if len(holes) else 0.0
     speed = np.abs(stream["target_qd"][last_before:]).max(axis=1)
     follows = stream["client_state"][last_before:] == ON_THE_PATH
-    rest = first(speed < STILL, 0)
-    left = first(~follows, 0)
-    again = None if left is None else first(follows & (speed > STILL), left)
+    rest = first_rest(speed < STILL, round(AT_REST * rate))
+    again = None if rest is None else first(follows & (speed > STILL), rest)
     return Outcome(
         exit_status=status,
         reason=reason,
@@ -205,6 +206,12 @@ def seen(path: Path, status: int, reason: str, at_ns: int, rate: float) -> Outco
         lost=int(np.diff(stream.seq[last_before:]).sum() - len(holes)),
         recorded_after=round(float(t[-1]), 3),
     )
+
+
+def first_rest(still: np.ndarray, count: int) -> int | None:
+    """Where it first stands for ``count`` samples on end: a path turns back without a rest."""
+    run = np.convolve(still, np.ones(count), "valid") >= count
+    return first(run, 0)
 
 
 def first(true: np.ndarray, start: int) -> int | None:
