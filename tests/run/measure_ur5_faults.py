@@ -107,7 +107,7 @@ class Scene:
         try:
             receiver.greet()
             recipe = receiver.start(["target_qd"], [], RATES[self.series])
-            deadline = time.monotonic() + 60.0
+            deadline = time.monotonic() + 150.0
             while time.monotonic() < deadline:
                 packages = receiver.packages()
                 if packages and abs(recipe.unpack(packages[-1])[5]) > MOVING:
