@@ -240,7 +240,7 @@ def main() -> None:
     parser.add_argument("--only", help="one fault by its name")
     parser.add_argument("-o", "--out", type=Path)
     options = parser.parse_args()
-    results: dict[str, Any] = {}
+    told: dict[str, Any] = {"schema": "labhil.ur5_faults/1", "series": options.series, "faults": {}}
     for reconnect in (False, True):
         for fault in [options.only] if options.only else FAULTS:
             outcomes = []
@@ -249,13 +249,13 @@ def main() -> None:
                     os.environ["XDG_RUNTIME_DIR"] = folder
                     outcomes.append(suffer(fault, "127.77.0.2", options.series, reconnect, Path(folder)))
             name = f"{fault}, reconnect" if reconnect else fault
-            results[name] = together(outcomes) | {"load_average": round(os.getloadavg()[0], 1)}
-            print(name, json.dumps(results[name]), file=sys.stderr, flush=True)
-    told = {"schema": "labhil.ur5_faults/1", "series": options.series, "faults": results}
+            result = together(outcomes) | {"load_average": round(os.getloadavg()[0], 1)}
+            told["faults"][name] = result
+            print(name, json.dumps(result), file=sys.stderr, flush=True)
+            if options.out is not None:
+                options.out.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
     if options.out is None:
         print(json.dumps(told, indent=1))
-    else:
-        options.out.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
