@@ -65,6 +65,8 @@ class DeviceRun:
         self.comes_back = False
         """Whether it will say when it can again; else somebody has to resume the run."""
         self.heard_at = time.monotonic()
+        self.ends = False
+        """Whether its host has said that it failed; why, it says when it has ended."""
         self._bus, self._duration, self._changed = bus, duration, changed
         self._codec = Codec(device.stream)
         self._controller = Controller(plan.steps, device.stream, device.safe)
@@ -170,6 +172,7 @@ class DeviceRun:
             event = json.loads(payload)
             if event["t_ns"] < self._since_ns:
                 continue  # from before the steps went on
+            self.ends = self.ends or event["kind"] == "failed"
             message = f"{self.plan.name}: {event['message']}"
             if self._is_a_rest(event, message):
                 self._changed.set()
