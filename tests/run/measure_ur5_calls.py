@@ -29,8 +29,6 @@ LIMIT = 90.0
 """s that one check may take."""
 START = 120.0
 CALLS = Path(__file__).parents[1] / "wire/ur5_calls.py"
-SINCE = {"state_queries_of_e_series": (5, 11), "dashboard_of_e_series": (5, 6), "dynamics_of_5_23": (5, 23)}
-"""As in the checks' own file, which cannot be imported without a controller."""
 INTERFACES = {
     "rtde_control": "RTDEControlInterface",
     "rtde_receive": "RTDEReceiveInterface",
@@ -44,6 +42,15 @@ def checks() -> list[str]:
     tree = ast.parse(CALLS.read_text())
     functions = (node for node in tree.body if isinstance(node, ast.FunctionDef))
     return [node.name for node in functions if any(ast.unparse(d) == "check" for d in node.decorator_list)]
+
+
+def since() -> dict[str, tuple[int, int]]:
+    """From which version on a check can be made; read, for without a controller it cannot be imported."""
+    for node in ast.parse(CALLS.read_text()).body:
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "SINCE":
+            found: dict[str, tuple[int, int]] = ast.literal_eval(node.value)
+            return found
+    raise SystemExit(f"{CALLS}: expected a dictionary SINCE, found none")
 
 
 def coverage() -> dict[str, Any]:
@@ -75,14 +82,14 @@ def of_version(series: str) -> dict[str, Any]:
     """All checks that this version of the controller is up to."""
     numbers = tuple(int(part) for part in series.split(".")[:2])
     command = [sys.executable, "-P", "-m", "labhil", "twin", "ur5", "--host", HOST, "--series", series]
-    results = {}
+    results, needs = {}, since()
     with Child("the twin", [*command, "--set", "unlock_after=0.3"]) as twin:
         if twin.line(START) != HOST:
             raise SystemExit(f"the twin did not start{twin.complaint()}")
         with suppress(PermissionError):
             os.sched_setscheduler(twin.pid, os.SCHED_FIFO, os.sched_param(1))
         for check in checks():
-            if numbers >= SINCE.get(check, (0, 0)):
+            if numbers >= needs.get(check, (0, 0)):
                 said, seconds = outcome(check)
                 results[check] = {"outcome": said, "seconds": seconds}
                 print(f"{series} {check}: {said} ({seconds} s)", file=sys.stderr, flush=True)
