@@ -7,6 +7,7 @@ does not fetch is dropped, a whole package at a time.
 from __future__ import annotations
 
 import contextlib
+import errno
 import select
 import socket
 import time
@@ -257,9 +258,15 @@ def _listening(host: str, port: int) -> socket.socket:
     try:
         door = socket.create_server((host, port))
     except OSError as error:
+        why = (error.strerror or str(error)).partition(" (while")[0]
+        if error.errno == errno.EADDRINUSE:
+            raise UsageError(
+                f"{host}:{port}: expected a free port, found: {why}; another twin may be there: give each an"
+                ' address of its own by --host 127.0.0.2, or by twin = { host = "127.0.0.2" } in an'
+                " experiment file"
+            ) from error
         raise UsageError(
-            f"{host}:{port} cannot be opened: {error}; another twin may be there: give each an address of its"
-            ' own by --host 127.0.0.2, or by twin = { host = "127.0.0.2" } in an experiment file'
+            f"{host}:{port}: expected an address of this machine, such as 127.0.0.2, found: {why}"
         ) from error
     door.setblocking(False)
     return door

@@ -86,7 +86,7 @@ def record(seconds: float) -> dict[str, Any]:
         text = EXAMPLE.read_text().replace("duration = 60.0", f"duration = {seconds!r}")
         text = re.sub(r"^twin = .*\n", "", text, flags=re.MULTILINE)
         text = text.replace('address = "twin"', f'address = "{HOST}"')
-        text = text.replace('rig = "ur5.toml"', f'rig = "{EXAMPLE.with_name("ur5.toml")}"')
+        text = text.replace('rig = "ur5.toml"\n', "")
         load, began = [round(x, 1) for x in os.getloadavg()], psutil.cpu_times()
         with twin(said) as address:
             assert address in text
