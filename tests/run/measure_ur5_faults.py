@@ -201,7 +201,8 @@ def seen(path: Path, status: int, reason: str, at_ns: int, rate: float) -> Outco
     speed = np.abs(stream["target_qd"][last_before:]).max(axis=1)
     follows = stream["client_state"][last_before:] == ON_THE_PATH
     rest = first_rest(speed < STILL, round(AT_REST * rate))
-    again = None if rest is None else first(follows & (speed > STILL), rest)
+    away = np.flatnonzero(~follows[: last_of(follows & (speed > MOVING))])
+    again = None if rest is None else first(follows & (speed > STILL), int(away[-1]) if len(away) else rest)
     return Outcome(
         exit_status=status,
         reason=reason,
@@ -212,6 +213,12 @@ def seen(path: Path, status: int, reason: str, at_ns: int, rate: float) -> Outco
         lost=int(np.diff(stream.seq[last_before:]).sum() - len(holes)),
         recorded_after=round(float(t[-1]), 3),
     )
+
+
+def last_of(true: np.ndarray) -> int:
+    """Where it is true for the last time, 0 for never."""
+    found = np.flatnonzero(true)
+    return int(found[-1]) if len(found) else 0
 
 
 def first_rest(still: np.ndarray, count: int) -> int | None:

@@ -214,6 +214,8 @@ def asynchronous_progress() -> None:
     assert robot.control.getAsyncOperationProgress() == 0
     assert robot.control.getAsyncOperationProgressEx().operationId() == (before + 1) % 128
     eventually(lambda: not robot.control.getAsyncOperationProgressEx().isAsyncOperationRunning())
+    # the two connections are not in step
+    settle()
     near(robot.receive.getTargetQ(), [0.5, *HOME[1:]], 1e-9)
 
 
