@@ -145,6 +145,10 @@ class TimedDriver(Driver, Protocol):
         """Return why the device cannot be commanded, in words; empty when it can."""
         ...
 
+    def recovers(self) -> bool:
+        """Whether the trouble passes by itself, and a path may go on then without anybody looking."""
+        ...
+
 
 class Twin(Protocol):
     """A simulated device on the real wire, registered under the entry-point group ``labhil.twins``.

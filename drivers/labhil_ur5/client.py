@@ -21,7 +21,7 @@ import os
 import select
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from labhil_ur5.declared import COMMAND_TIMEOUT, DIGITAL_OUTPUTS
@@ -37,12 +37,24 @@ LOOKAHEAD, GAIN = 0.1, 300.0
 """servoJ's own smoothing (s) and its gain: the manufacturer's defaults."""
 UNSEEN = 0.5
 """A move that was not seen to run is taken for done after so long, s."""
+LONGEST_CALL = 0.08
+"""What a call that only writes a package may take, s; see :class:`LostError`."""
+LOST = 4
+"""Exit status when the connection broke."""
 TELL_EVERY = 0.1
 IDLE_PERIOD = 0.02
 
 
 class FaultError(Exception):
     """The arm does not do what it was told; the process ends with it."""
+
+
+class LostError(Exception):
+    """The connection broke.
+
+    The library then connects again within the call and puts a new program in place of ours, one without a
+    watchdog: such a program is not to move an arm.
+    """
 
 
 class Client:
@@ -152,14 +164,16 @@ class Client:
         if self._player is not None:
             self._servo(self._player, now)
         else:
-            self._check(self._control.kickWatchdog(), "kickWatchdog")
+            self._check(self._at_once(self._control.kickWatchdog), "kickWatchdog")
             if self.state != "idle":
                 self._look_whether_there(now)
 
     def _servo(self, player: Player, now: float) -> None:
         elapsed, self._ticked_at = now - self._ticked_at, now
-        sent = self._control.servoJ(list(player.tick(elapsed)), 0.0, 0.0, self._dt, LOOKAHEAD, GAIN)
-        self._check(sent, "servoJ")
+        q = list(player.tick(elapsed))
+        self._check(
+            self._at_once(lambda: self._control.servoJ(q, 0.0, 0.0, self._dt, LOOKAHEAD, GAIN)), "servoJ"
+        )
         if player.at_rest:
             self._player = None
             self._check(self._control.servoStop(STOP_ACCELERATION), "servoStop")
@@ -171,6 +185,14 @@ class Client:
         # a move to where the arm is already may be over before it is seen to run
         if not running and (self._seen_moving or now - self._moved_at > UNSEEN):
             self._become("idle")
+
+    def _at_once(self, call: Callable[[], bool]) -> bool:
+        began = time.monotonic()
+        done = call()
+        taken = time.monotonic() - began
+        if taken > LONGEST_CALL:
+            raise LostError(f"the connection to the controller broke: a call took {taken:.2f} s")
+        return done
 
     def _check(self, done: bool, what: str) -> None:
         if not done:
@@ -195,7 +217,7 @@ _answers = 1
 
 
 def main() -> int:
-    """Run the process; 0 when it was told to end, 3 after a fault."""
+    """Run the process; 0 when it was told to end, 3 after a fault, ``LOST``."""
     global _answers  # noqa: PLW0603 - before anything else runs
     # the library prints on standard output
     _answers = os.dup(1)
@@ -208,6 +230,10 @@ def main() -> int:
     except (RuntimeError, FaultError) as error:
         say({"fault": str(error).strip()})
         return 3
+    except LostError as error:
+        # whoever watches this process has the program stopped; the library's own end may hang
+        print(error, file=sys.stderr, flush=True)
+        os._exit(LOST)
     return 0
 
 

@@ -43,6 +43,10 @@ PATIENCE = 0.05
 FIRST_SAMPLE = 2.0
 RESTART_AFTER = 1.0
 """How long after the loss of the client process another one is started, s."""
+BEGINNING = 0.2
+"""How long the client may take to say that it has begun a path, s; waypoints go on meanwhile."""
+GIVE_UP = 60.0
+"""How long one client after the other may be lost before somebody has to look, s."""
 
 STATES = tuple(MotionState)
 
@@ -84,8 +88,9 @@ class Ur5Driver:
         # reentrant: a signal handler may close the driver in the middle of a read
         self._reading = threading.RLock()
         self._lost_because = ""
-        self._lost_at = 0.0
+        self._lost_at = self._first_lost_at = 0.0
         self._timed = False
+        self._begun_at = -math.inf
 
     def connect(self) -> DeviceInfo:
         """Listen to the controller; ConnectError when it is not there, ProtocolError when it is no UR."""
@@ -165,7 +170,12 @@ class Ur5Driver:
         except ConnectError:
             # a connection that breaks while the controller lives leaves a hole and nothing more
             self._receiver.close()
-            self._listen()
+            try:
+                self._listen()
+            except ConnectError as error:
+                raise ConnectError(
+                    f"{self.address}: the RTDE connection broke and could not be made again: {error}"
+                ) from error
             self.counters.resyncs += 1
             return []
 
@@ -217,6 +227,18 @@ class Ur5Driver:
             return f"the arm's client was lost ({self._lost_because}); it is started again"
         return said_of(self._latest, commanded=self._motion.state is not MotionState.NONE)
 
+    def recovers(self) -> bool:
+        """Whether the trouble is a client process that died and is being replaced.
+
+        Where the controller ended the program, perhaps because somebody pressed stop, nothing goes on.
+        """
+        return (
+            bool(self._lost_because)
+            and self._motion.died
+            and self._latest.get("safety_mode") in SAFETY_NORMAL
+            and time.monotonic() - self._first_lost_at < GIVE_UP
+        )
+
     def command(self, values: Mapping[str, float]) -> None:
         """Go to joint angles by moveJ, set the speed slider or the digital outputs; empty: a sign of life.
 
@@ -253,14 +275,17 @@ class Ur5Driver:
         motion, here = self._motion, self._joints()
         self._timed = t_hw_ns is not None
         near = max(abs(a - b) for a, b in zip(q, here, strict=True)) <= THERE
+        begins = time.monotonic() - self._begun_at < BEGINNING
         if motion.state is MotionState.NONE:
             if not self.trouble():
                 motion.start()
-        elif motion.state is MotionState.IDLE and not near:
+        elif motion.state is MotionState.IDLE and not near and not (begins and self._timed):
             if t_hw_ns is not None:
                 raise CommandRefusedError(f"{self.address}: the arm does not stand where its path begins")
             motion.move(q)
         elif t_hw_ns is not None and motion.state in (MotionState.IDLE, MotionState.SERVO):
+            if not begins:
+                self._begun_at = time.monotonic() if motion.state is MotionState.IDLE else -math.inf
             motion.waypoint(t_hw_ns * 1e-9, q, here)
         else:
             motion.tell({"alive": True})
@@ -286,6 +311,8 @@ class Ur5Driver:
         why = self._motion.look()
         now = time.monotonic()
         if why:
+            if not self._lost_because:
+                self._first_lost_at = now
             self._lost_because, self._lost_at = why, now
             self._switched.clear()
             self.counters.resets += 1
@@ -301,6 +328,7 @@ class Ur5Driver:
     def safe(self) -> None:
         """Stop on the path, and hold; never raises."""
         self._timed = False
+        self._begun_at = -math.inf
         self._target = []
         with contextlib.suppress(OSError):
             self._motion.stop()

@@ -21,6 +21,8 @@ SILENCE = 2.0
 START_TIMEOUT = 15.0
 """How long it may take to connect and to start its program on the controller, s."""
 END_TIMEOUT = 3.0
+STOP_TIMEOUT = 1.5
+"""How long a dashboard that is told to stop the program may take, s."""
 
 
 class MotionState(StrEnum):
@@ -47,7 +49,10 @@ class Motion:
         self._rest = b""
         self.state = MotionState.NONE
         self.refusal = self._fault = ""
+        self.died = False
+        """Whether the client was lost by itself, and not because the controller ended its program."""
         self.starts = 0
+        self._stopping: threading.Thread | None = None
 
     def start(self) -> None:
         """Start the process; :attr:`state` is IDLE once it may be told to move."""
@@ -90,9 +95,11 @@ class Motion:
             if closed:
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     self._process.wait(0.5)
+                self.died = not self._fault
                 return self._lost(self._fault or f"the client process died{self._how()}")
             silence = START_TIMEOUT if self.state is MotionState.STARTING else SILENCE
             if time.monotonic() - self._heard_at > silence:
+                self.died = True
                 return self._lost(f"the client process said nothing for {silence:g} s{self._complaint()}")
             return ""
 
@@ -118,11 +125,13 @@ class Motion:
             if self._process is not None and self._process.poll() is None:
                 self.tell({"stop": True})
             elif self._process is not None:
-                stop_program(self._host)
+                self._stop_by_dashboard()
 
     def end(self) -> None:
         """Stop the arm, end the controller's program and the client; safe to call twice."""
         with self._writing:
+            if self._stopping is not None:
+                self._stopping.join(STOP_TIMEOUT)
             process = self._process
             if process is None:
                 return
@@ -165,8 +174,14 @@ class Motion:
     def _lost(self, why: str) -> str:
         self._discard()
         # whatever it commanded last is not to go on; the controller's watchdog has been at it as well
-        stop_program(self._host)
+        self._stop_by_dashboard()
         return why
+
+    def _stop_by_dashboard(self) -> None:
+        """Have the program stopped, while samples go on being read: a dashboard may keep one waiting."""
+        if self._stopping is None or not self._stopping.is_alive():
+            self._stopping = threading.Thread(target=stop_program, args=(self._host,), daemon=True)
+            self._stopping.start()
 
     def _discard(self) -> None:
         process, self._process, self.state = self._process, None, MotionState.NONE

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 SAFETY_NORMAL = (1.0, 2.0)
@@ -44,6 +45,6 @@ def said_of(latest: Mapping[str, float], commanded: bool) -> str:
     if safety not in SAFETY_NORMAL:
         return f"{SAFETY_MODES.get(int(safety), 'not normal')} (safety_mode {safety:g})"
     robot = latest.get("robot_mode", ROBOT_RUNNING)
-    if commanded and robot != ROBOT_RUNNING and robot == robot:  # noqa: PLR0124 - NaN when not told
+    if commanded and robot != ROBOT_RUNNING and not math.isnan(robot):
         return f"the arm does not run: {ROBOT_MODES.get(int(robot), 'unknown mode')} (robot_mode {robot:g})"
     return ""

@@ -65,6 +65,8 @@ class DeviceRun:
         self.comes_back = False
         """Whether it will say when it can again; else somebody has to resume the run."""
         self.heard_at = time.monotonic()
+        self.ends = False
+        """Whether its host has said that it failed; why, it says when it has ended."""
         self._bus, self._duration, self._changed = bus, duration, changed
         self._codec = Codec(device.stream)
         self._controller = Controller(plan.steps, device.stream, device.safe)
@@ -150,6 +152,9 @@ class DeviceRun:
                 if not self._approach.is_there(requested, values):
                     continue
                 self._started_at_ns = t_ns - round(self.elapsed * 1e9)
+                if self._waypoints.rate:
+                    # a path begins where the device stands, though this be the middle of the steps
+                    self._put(requested, t_ns)
             t_hw_ns = t_ns
             self.elapsed = (t_ns - self._started_at_ns) * 1e-9
             requested = self._controller.requested(self.elapsed, values)
@@ -158,14 +163,18 @@ class DeviceRun:
             self._changed.set()
         elif self._waypoints.is_due(int(batch.t_hw_ns[-1])):
             timed = t_hw_ns if self._waypoints.rate else None
-            setpoint = Setpoint(self._token, time.time_ns(), requested, timed)
-            self._setpoints.put(setpoint.to_bytes())
+            self._put(requested, timed)
+
+    def _put(self, requested: Mapping[str, float], t_hw_ns: int | None) -> None:
+        setpoint = Setpoint(self._token, time.time_ns(), dict(requested), t_hw_ns)
+        self._setpoints.put(setpoint.to_bytes())
 
     def _take_events(self, _key: str, payloads: list[bytes]) -> None:
         for payload in payloads:
             event = json.loads(payload)
             if event["t_ns"] < self._since_ns:
                 continue  # from before the steps went on
+            self.ends = self.ends or event["kind"] == "failed"
             message = f"{self.plan.name}: {event['message']}"
             if self._is_a_rest(event, message):
                 self._changed.set()

@@ -24,6 +24,10 @@ SILENCE = 3.0
 """How long the samples of a device may stay away while its host lives, s."""
 
 
+ENDING = 10.0
+"""How long they may once its host has said that it failed: it has to bring its device to safety first, s."""
+
+
 class Devices:
     """The devices of one run with their hosts; ``duration`` is that of the steps, s of their clocks."""
 
@@ -71,8 +75,9 @@ class Devices:
             trouble = run.failure()
             if trouble is not None:
                 raise trouble
-            if not run.comes_back and time.monotonic() - run.heard_at > SILENCE:
-                raise BusError(f"{run.plan.name}: no samples on the bus for {SILENCE:g} s")
+            patience = ENDING if run.ends else SILENCE
+            if not run.comes_back and time.monotonic() - run.heard_at > patience:
+                raise BusError(f"{run.plan.name}: no samples on the bus for {patience:g} s")
 
     def rest(self) -> str:
         """Why the run has to wait for one of its devices; empty when it does not."""

@@ -51,7 +51,8 @@ class TwinSection(_Section):
     """``twin = { … }``: what the simulated device is made of. Never stands in a recording.
 
     ``terms`` None means the twin's own default; ``set`` overrides single values (SI); ``speed`` is how
-    many seconds of its world pass in one second; ``tables`` are files with measured maps.
+    many seconds of its world pass in one second; ``tables`` are files with measured maps. ``host`` is the
+    address of this machine for a networked twin, ``series`` the make of its controller.
     """
 
     speed: Positive = 1.0
@@ -60,6 +61,8 @@ class TwinSection(_Section):
     set: dict[str, Finite] = {}
     tables: dict[str, str] = {}
     wire: Literal["pty", "tcp"] = "pty"
+    host: str | None = None
+    series: str | None = None
 
     @field_validator("set", mode="before")
     @classmethod

@@ -41,6 +41,8 @@ __all__ = [
 PROGRESS_INTERVAL = 0.1
 AFTER_EMERGENCY_STOP = 2.0
 """How long hosts stay after an emergency stop, s."""
+COMING_TO_REST = 0.5
+"""How long what moves along a path is recorded after it was told to stop, s."""
 
 
 class _Enough(Exception):  # noqa: N818 - no error: somebody said that the steps so far are enough
@@ -266,6 +268,8 @@ class _Run:
         if isinstance(error, EmergencyStopError):
             # whoever pressed it has yet to hear from each device, and what these do now is worth recording
             time.sleep(AFTER_EMERGENCY_STOP)
+        elif any(device.spec.waypoint_rate for device in self._plan.devices):
+            time.sleep(COMING_TO_REST)
         devices.end_hosts()
         return failure
 

@@ -51,4 +51,6 @@ def twin_command(kind: str, section: TwinSection, answer: Path, directory: Path 
         command += ["--set", f"{name}={value!r}"]
     for name, file in section.tables.items():
         command += ["--table", f"{name}={directory / file}"]
+    for option, chosen in (("--host", section.host), ("--series", section.series)):
+        command += [] if chosen is None else [option, chosen]
     return [*command, "--answer", str(answer)]

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from labhil.serial_twin.ending import Ending
+from labhil.ending import Ending
 from labhil.serial_twin.firmware import Board, Firmware, Raw
 from labhil.serial_twin.settings import TwinSettings
 from labhil.serial_twin.wires import Wire

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from labhil.driver import ReadyCallback, TwinOptions
+from labhil.ending import Ending
 from labhil.errors import UnknownNameError, UsageError
 from labhil.serial_twin.bench import Bench, SimulatedRig
-from labhil.serial_twin.ending import Ending
 from labhil.serial_twin.settings import Settable, TwinSettings
 from labhil.serial_twin.wires import open_wire
 

@@ -44,6 +44,8 @@ ANSWER_TIMEOUT = 1.0
 LONGEST_STALL = 0.05
 """What one turn of the loop may count for in the watchdog, s: our own stalls are nobody's silence."""
 
+STEADY = (HostState.IDLE, HostState.ACTIVE)
+
 COMMANDS = ("status", "set", "safe", "lease", "estop", "shutdown")
 
 
@@ -89,6 +91,7 @@ class DeviceControl:
         self._heard_at = 0.0
         self._heard_any = False
         self._quiet = False
+        self._mending = False
         self._continuation = Continuation(spec.stream.rate * info.speed, info.speed)
         self._inbox: queue.SimpleQueue[Request] = queue.SimpleQueue()
         self._resources = ExitStack()
@@ -193,9 +196,12 @@ class DeviceControl:
     def _take_in(self, batch: Batch) -> None:
         self._output.clock = Clock(int(batch.t_hw_ns[-1]), int(batch.t_acq_ns[-1]))
         self._states.put(batch)
-        self._violation = self._sample_limits.violation(batch) or self._output.trouble()
+        beyond = self._sample_limits.violation(batch)
+        self._violation = beyond or self._output.trouble()
         tripped = self._interlocks.take_in(batch)
-        if self._violation is not None and self.state in (HostState.IDLE, HostState.ACTIVE):
+        if beyond is None and self._config.reconnect:
+            self._wait_for_driver()
+        if self._violation is not None and not self._mending and self.state in STEADY:
             self._to_safety(HostState.TRIPPED, self._violation)
         if tripped is not None:
             state = HostState.LATCHED if self.state is HostState.LATCHED else HostState.TRIPPED
@@ -203,6 +209,17 @@ class DeviceControl:
         if self._quiet:
             self._quiet = False
             self._return("the device sends samples again")
+
+    def _wait_for_driver(self) -> None:
+        """Note that the driver mends something by itself, though samples go on, or that it has."""
+        mending = self._violation is not None and self._output.recovers()
+        if mending and not self._mending and self.state in STEADY:
+            self._mending = True
+            self._to_safety(HostState.IDLE, str(self._violation), "lost")
+        elif self._mending and not mending:
+            self._mending = False
+            if self._violation is None and self.state in STEADY:
+                self._return("the device can be commanded again")
 
     # what comes from the bus, still in the bus's threads
 

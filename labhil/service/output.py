@@ -84,6 +84,10 @@ class Output:
         """Return what keeps the device from being commanded, where its driver says so."""
         return (self._timed.trouble() or None) if self._timed is not None else None
 
+    def recovers(self) -> bool:
+        """Whether the driver mends that by itself."""
+        return self._timed is not None and self._timed.recovers()
+
     def _row(self) -> Batch:
         t_ns = time.time_ns()
         row = [

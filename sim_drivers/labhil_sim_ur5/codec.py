@@ -103,11 +103,12 @@ class Recipe:
     def pack(self, values: Mapping[str, Value]) -> bytes:
         """Return the fields as bytes; struct.error for numbers that do not fit their type."""
         flat: list[float] = []
-        for name, width in zip(self.names, self._widths, strict=True):
-            if width == 1:
-                flat.append(values[name])  # type: ignore[arg-type]
+        for name in self.names:
+            value = values[name]
+            if isinstance(value, tuple):
+                flat += value
             else:
-                flat += values[name]  # type: ignore[arg-type]
+                flat.append(value)
         return self._struct.pack(*flat)
 
     def unpack(self, data: bytes) -> dict[str, Value]:

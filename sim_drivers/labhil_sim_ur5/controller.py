@@ -244,12 +244,12 @@ class Controller:
 
     def _next_plan(self) -> Plan:
         scale, change = self.pace.step(self.period)
-        if self.motion is None:
-            return Plan.resting(self.plan.q)
-        if scale == 0.0:
+        # while the pace changes, its mean passed
+        passed = (scale - 0.5 * change * self.period) * self.period
+        if self.motion is None or passed <= 0.0:
             return Plan.resting(self.plan.q)
         try:
-            ahead = self.motion.advance(scale * self.period)
+            ahead = self.motion.advance(passed)
             _within_limits(ahead)
         except MotionError as error:
             return self._refuse(str(error))

@@ -13,10 +13,14 @@ from labhil_sim_ur5.motion import (
     JOINT_SPEED,
     SLOWEST,
     Plan,
+    joint_accelerations,
     joint_rates,
     towards,
 )
 from labhil_sim_ur5.poses import Pose, rotation_of, times, transposed, turned, vector_of
+
+EASING = 0.02
+"""In what time (s) the servo eases into the joints' greatest speed, so that it does not overshoot it."""
 
 
 class Servo:
@@ -28,7 +32,7 @@ class Servo:
     """
 
     def __init__(self, now: Plan) -> None:
-        self._q, self._qd = now.q.copy(), now.qd.copy()
+        self._now = now
         self._set = now.q.copy()
         self._gain, self._lookahead = 300.0, 0.1
         self.done = False
@@ -39,14 +43,19 @@ class Servo:
         self._lookahead, self._gain = min(max(lookahead, 0.03), 0.2), min(max(gain, 100.0), 2000.0)
 
     def advance(self, h: float) -> Plan:
-        """Let h (s) pass, by an implicit step that is stable for all gains."""
-        k, before = self._gain, self._qd
-        wanted = (before + h * k * (self._set - self._q)) / (1.0 + h * k * self._lookahead + h * h * k)
-        wanted = np.clip(wanted, -JOINT_SPEED, JOINT_SPEED)
-        step = np.clip(wanted - before, -ACCELERATION_LIMIT * h, ACCELERATION_LIMIT * h)
-        self._qd = before + step
-        self._q = self._q + h * self._qd
-        return Plan(self._q.copy(), self._qd.copy(), step / h)
+        """Let h (s) pass, by an implicit step in which the acceleration goes along a straight line.
+
+        So angle, velocity and acceleration belong to one moment: what is planned is what drives the arm,
+        and a torque half a tick late would look like a clock that is.
+        """
+        k, lookahead, (q, qd, qdd) = self._gain, self._lookahead, self._now
+        q = q + h * qd + (h * h / 3.0) * qdd
+        before, qd = qd, qd + 0.5 * h * qdd
+        wanted = k * (self._set - q - lookahead * qd) / (1.0 + k * h * (0.5 * lookahead + h / 6.0))
+        wanted = np.clip(wanted, (-JOINT_SPEED - before) / EASING, (JOINT_SPEED - before) / EASING)
+        wanted = np.clip(wanted, -ACCELERATION_LIMIT, ACCELERATION_LIMIT)
+        self._now = Plan(q + (h * h / 6.0) * wanted, qd + 0.5 * h * wanted, wanted)
+        return self._now
 
 
 class JointSpeed:
@@ -74,9 +83,8 @@ class ToolSpeed:
     """``speedl``: velocity and rate of the tool (6,) m/s and rad/s in the base's frame."""
 
     def __init__(self, now: Plan, arm: Geometry, tool: Pose) -> None:
-        self._arm, self._tool = arm, tool
-        self._q, self._qd = now.q.copy(), now.qd.copy()
-        self._twist = arm.jacobian(self._q, tool) @ self._qd
+        self._arm, self._tool, self._now = arm, tool, now
+        self._twist = arm.jacobian(now.q, tool) @ now.qd
         self._set, self._a = self._twist.copy(), 0.25
         self.done = False
 
@@ -87,12 +95,14 @@ class ToolSpeed:
 
     def advance(self, h: float) -> Plan:
         """Let h (s) pass and return the plan then; MotionError near a singularity."""
-        self._twist = towards(self._twist, self._set, self._a * h)
-        before = self._qd
-        middle = self._q + 0.5 * h * before
-        self._qd = joint_rates(self._arm, middle, self._tool, self._twist)
-        self._q = self._q + h * self._qd
-        return Plan(self._q.copy(), self._qd.copy(), (self._qd - before) / h)
+        twist, self._twist = self._twist, towards(self._twist, self._set, self._a * h)
+        q, before, before_that = self._now
+        ahead = q + h * before + 0.5 * h * h * before_that
+        qd = joint_rates(self._arm, ahead, self._tool, self._twist)
+        q = q + 0.5 * h * (before + qd)
+        qdd = joint_accelerations(self._arm, q, qd, self._tool, (self._twist - twist) / h)
+        self._now = Plan(q, qd, qdd)
+        return self._now
 
 
 class Approach:

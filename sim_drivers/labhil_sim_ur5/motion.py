@@ -25,6 +25,8 @@ ACCELERATION_LIMIT = 40.0
 SLOWEST = 1e-4
 """rad/s or m/s, and their rates: slower wishes are taken as this."""
 AT_REST = 1e-6
+DIFFERENCE = 1e-4
+"""s before and after a moment between which a Jacobian's change is taken."""
 
 
 class MotionError(Exception):
@@ -121,14 +123,14 @@ class LineMove:
         self._profile = Trapezoid(length, speed, acceleration)
         spin = turned(self._rotation, (self._turn[0], self._turn[1], self._turn[2]))
         self._twist = np.array([*self._way, *spin]) / length if length > 0.0 else np.zeros(6)
-        self._q, self._qd = begin.copy(), np.zeros(6)
+        self._q = begin.copy()
         self._t = 0.0
         self.done = False
 
     def advance(self, h: float) -> Plan:
         """Let h (s) pass and return the plan then; MotionError out of reach or through a singularity."""
         self._t += h
-        s, sd, _ = self._profile.at(self._t)
+        s, sd, sdd = self._profile.at(self._t)
         share = s / self._profile.length if self._profile.length > 0.0 else 1.0
         place = self._from + share * self._way
         turn = vector_of(times(self._rotation, rotation_of(*(share * self._turn))))
@@ -139,10 +141,11 @@ class LineMove:
         if np.abs(now - self._q).max() > SPEED_LIMIT * h + 1e-3:
             raise MotionError("the tool's way leads through a singularity: a joint would have to jump")
         self.done = self._t >= self._profile.duration
-        qd = np.zeros(6) if self.done else joint_rates(self._arm, now, self._tool, self._twist * sd)
-        qdd = np.zeros(6) if self.done else (qd - self._qd) / h
-        self._q, self._qd = now, qd
-        return Plan(now, qd, qdd)
+        self._q = now
+        if self.done:
+            return Plan.resting(now)
+        qd = joint_rates(self._arm, now, self._tool, self._twist * sd)
+        return Plan(now, qd, joint_accelerations(self._arm, now, qd, self._tool, self._twist * sdd))
 
 
 class Halt:
@@ -192,6 +195,18 @@ def joint_rates(arm: Geometry, q: FloatArray, tool: Pose, twist: FloatArray) -> 
     if not np.abs(rates).max() <= SPEED_LIMIT:
         raise MotionError("a joint would have to turn too fast: near a singularity, or the tool too fast")
     return np.asarray(rates, dtype=np.float64)
+
+
+def joint_accelerations(
+    arm: Geometry, q: FloatArray, qd: FloatArray, tool: Pose, acceleration: FloatArray
+) -> FloatArray:
+    """Return the joints' accelerations (6,) rad/s² for a tool's, away from singularities.
+
+    q̈ = J⁻¹·(a − J̇·q̇), with J̇·q̇ by a difference along the joints' way.
+    """
+    way = DIFFERENCE * qd
+    turning = (arm.jacobian(q + way, tool) - arm.jacobian(q - way, tool)) @ qd / (2.0 * DIFFERENCE)
+    return np.asarray(np.linalg.solve(arm.jacobian(q, tool), acceleration - turning), dtype=np.float64)
 
 
 def towards(now: FloatArray, wanted: FloatArray, step: float) -> FloatArray:

@@ -19,7 +19,8 @@ class Registers:
     @property
     def command(self) -> int:
         """The command that the client asks for."""
-        return self._values[self._command]  # type: ignore[return-value]
+        value = self._values[self._command]
+        return int(value) if isinstance(value, int | float) else 0
 
     @property
     def command_name(self) -> str:

@@ -7,12 +7,13 @@ does not fetch is dropped, a whole package at a time.
 from __future__ import annotations
 
 import contextlib
+import errno
 import select
 import socket
 import time
 from collections.abc import Callable
-from typing import Protocol
 
+from labhil.ending import Ending
 from labhil.errors import UsageError
 from labhil_sim_ur5.codec import FramingError
 from labhil_sim_ur5.controller import Controller
@@ -29,20 +30,6 @@ SILENCE = 0.02
 LARGEST_SCRIPT = 1 << 20
 SEND_BUFFER = 1 << 16
 """Bytes that wait for a client in the kernel: about 50 packages."""
-
-
-class Ending(Protocol):
-    """What tells the server to end, and what it may wait for beside its sockets."""
-
-    due: bool
-
-    def watched(self) -> list[int]:
-        """File descriptors to wait for."""
-        ...
-
-    def hear(self, readable: list[int]) -> list[str]:
-        """Return the lines that came in on them."""
-        ...
 
 
 class Client:
@@ -271,9 +258,15 @@ def _listening(host: str, port: int) -> socket.socket:
     try:
         door = socket.create_server((host, port))
     except OSError as error:
+        why = (error.strerror or str(error)).partition(" (while")[0]
+        if error.errno == errno.EADDRINUSE:
+            raise UsageError(
+                f"{host}:{port}: expected a free port, found: {why}; another twin may be there: give each an"
+                ' address of its own by --host 127.0.0.2, or by twin = { host = "127.0.0.2" } in an'
+                " experiment file"
+            ) from error
         raise UsageError(
-            f"{host}:{port} cannot be opened: {error}; another twin may be there: give each its own --host, "
-            "such as 127.0.0.2"
+            f"{host}:{port}: expected an address of this machine, such as 127.0.0.2, found: {why}"
         ) from error
     door.setblocking(False)
     return door

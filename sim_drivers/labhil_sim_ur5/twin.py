@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
+from dataclasses import replace
 
 from labhil.driver import ReadyCallback, TwinOptions
 
@@ -12,12 +13,18 @@ class Ur5Twin:
     """A UR5 that is not there; satisfies :class:`labhil.driver.Twin`.
 
     It runs in real time only. Its address is one of this machine; the ports are the controller's own
-    (30004, 30003, 29999), so that several twins need several addresses.
+    (30004, 30003, 29999), so that several twins need several addresses. ``series`` is its controller
+    where the options name none.
     """
 
-    name = "ur5"
     rig = "ur5"
-    description = "simulated UR5 with its controller: RTDE, script upload and dashboard, 125 or 500 Hz"
+
+    def __init__(self, name: str = "ur5", series: str = "e") -> None:
+        self.name, self._series = name, series
+        self.description = (
+            "simulated UR5 with its controller: RTDE, script upload and dashboard, 125 or 500 Hz;"
+            f" series {series!r} unless told otherwise"
+        )
 
     def terms(self) -> Mapping[str, str]:
         """Names of the effects that the plant can carry, each with one line about it."""
@@ -37,6 +44,7 @@ class Ur5Twin:
         Raises UsageError or UnknownNameError for options that make no twin, before anything is opened.
         """
         # compiling the plant takes a moment, and a list of twins must not
+        from labhil.ending import Ending
         from labhil_sim_ur5.arm import PhysicalArm
         from labhil_sim_ur5.controller import Controller
         from labhil_sim_ur5.dashboard import Dashboard
@@ -45,9 +53,8 @@ class Ur5Twin:
         from labhil_sim_ur5.motion import Plan
         from labhil_sim_ur5.server import Server
         from labhil_sim_ur5.settings import TwinSettings
-        from labhil_sim_ur5.sidechannel import SideChannel
 
-        settings = TwinSettings.of(options)
+        settings = TwinSettings.of(replace(options, series=options.series or self._series))
         arm = PhysicalArm(settings.plant, settings.terms, settings.seed)
         if options.answer is not None:
             settings.write_answer(options.answer, arm.parameters)
@@ -55,14 +62,14 @@ class Ur5Twin:
             settings.version, arm, Geometry.of(arm.links), Plan.resting(settings.home), tell
         )
         dashboard = Dashboard(controller, int(settings.robot.serial_number), settings.robot.unlock_after)
-        with SideChannel() as side:
+        with Ending() as ending:
             server = Server(controller, dashboard, settings.host)
             faults = Faults(settings.faults, server, controller)
             try:
                 controller.tick()
                 controller.publish()
                 ready(settings.host)
-                server.run(side, faults.told, faults.tick)
+                server.run(ending, faults.told, faults.tick)
             finally:
                 server.close()
                 if server.missed or server.untold:
@@ -77,3 +84,4 @@ def tell(message: str) -> None:
 
 
 TWIN = Ur5Twin()
+CB3_TWIN = Ur5Twin("ur5_cb3", "cb3")

@@ -123,6 +123,45 @@ def test_the_servo_follows_as_documented() -> None:
     assert np.allclose(plans[-1].q, 3.0, atol=1e-6)
 
 
+def lateness(values: np.ndarray, rates: np.ndarray, h: float) -> float:
+    """How much later, in ticks, ``rates`` tell what ``values`` do: by least squares over a smooth stretch."""
+    true = (values[2:] - values[:-2]) / (2.0 * h)
+    change = (true[2:] - true[:-2]) / (2.0 * h)
+    missing = (true - rates[1:-1])[1:-1]
+    return float((missing * change).sum() / (change * change).sum() / h)
+
+
+def servo_along_a_path(h: float) -> list[Plan]:
+    servo = Servo(Plan.resting(HOME))
+    plans = []
+    for k in range(round(4.0 / h)):
+        servo.aim(HOME + 0.4 * np.sin(3.0 * k * h), 0.1, 300.0)
+        plans.append(servo.advance(h))
+    return plans[round(1.0 / h) :]
+
+
+def line_while_it_speeds_up(h: float) -> list[Plan]:
+    first = ARM.pose(HOME)
+    move = LineMove(ARM, (0.0,) * 6, HOME, (first[0], first[1] - 0.3, *first[2:]), 1.0, 1.0)
+    return [move.advance(h) for _ in range(round(0.5 / h))]
+
+
+def tool_at_a_steady_speed(h: float) -> list[Plan]:
+    speed = ToolSpeed(Plan.resting(HOME), ARM, (0.0,) * 6)
+    speed.aim([0.0, -0.3, 0.0, 0.0, 0.0, 0.0], 3.0)
+    return [speed.advance(h) for _ in range(round(0.6 / h))][round(0.2 / h) :]
+
+
+@pytest.mark.parametrize("h", [0.002, 0.008])
+@pytest.mark.parametrize(
+    "motion", [servo_along_a_path, line_while_it_speeds_up, tool_at_a_steady_speed], ids=lambda m: m.__name__
+)
+def test_angles_velocities_and_accelerations_belong_to_one_moment(motion, h) -> None:
+    q, qd, qdd = (np.array(part) for part in zip(*motion(h), strict=True))
+    assert abs(lateness(q, qd, h)) < 0.05
+    assert abs(lateness(qd, qdd, h)) < 0.05
+
+
 def test_speeds_and_stops() -> None:
     speed = JointSpeed(Plan.resting(HOME))
     speed.aim([0.4, -0.2, 0, 0, 0, 0], 1.0)

@@ -10,9 +10,11 @@ from __future__ import annotations
 import itertools
 import math
 import sys
+import tempfile
 import time
 import traceback
 from collections.abc import Callable
+from pathlib import Path
 
 import dashboard_client
 import rtde_control
@@ -212,6 +214,8 @@ def asynchronous_progress() -> None:
     assert robot.control.getAsyncOperationProgress() == 0
     assert robot.control.getAsyncOperationProgressEx().operationId() == (before + 1) % 128
     eventually(lambda: not robot.control.getAsyncOperationProgressEx().isAsyncOperationRunning())
+    # the two connections are not in step
+    settle()
     near(robot.receive.getTargetQ(), [0.5, *HOME[1:]], 1e-9)
 
 
@@ -481,6 +485,38 @@ def custom_program() -> None:
     near(robot.receive.getTargetQ(), [0.2, -1.5, 1.5, -1.5, -1.5, 0.0], 1e-6)
     assert robot.receive.getActualDigitalOutputBits() >> 3 & 1
     home()
+
+
+@check
+def custom_scripts_in_place_of_the_program() -> None:
+    home()
+    script = (
+        "def mine():\n\tmovej([0.1, -1.5, 1.5, -1.5, -1.5, 0], a=3, v=1)\n"
+        "\twrite_output_integer_register(0, 2)\nend\n"
+    )
+    assert robot.control.sendCustomScript(script)
+    near(robot.receive.getTargetQ(), [0.1, -1.5, 1.5, -1.5, -1.5, 0.0], 1e-6)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "mine.script"
+        file.write_text(script.replace("[0.1", "[0.2"))
+        assert robot.control.sendCustomScriptFile(str(file))
+    near(robot.receive.getTargetQ(), [0.2, -1.5, 1.5, -1.5, -1.5, 0.0], 1e-6)
+    assert robot.control.isProgramRunning()
+    home()
+
+
+@check
+def receive_into_a_file() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "rows.csv"
+        assert robot.receive.startFileRecording(str(file), ["timestamp", "actual_q"])
+        time.sleep(0.5)
+        assert robot.receive.stopFileRecording()
+        rows = file.read_text().splitlines()
+    assert rows[0].split(",")[:2] == ["timestamp", "actual_q_0"]
+    assert len(rows) > 10
+    assert len({row.split(",")[0] for row in rows[1:]}) > 10
+    assert not robot.receive.getDigitalInState(0)
 
 
 @check

@@ -1,4 +1,4 @@
-"""When a twin is to end: a signal, or the end of the pipe that its parent holds."""
+"""When a twin is to end, and what it is told meanwhile: signals, and lines on the pipe of its parent."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import signal
 import stat
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import FrameType, TracebackType
 from typing import Any, Self
 
@@ -27,6 +27,7 @@ class Ending:
         self.due = False
         self._handlers: dict[int, Handler] = {}
         self._pipe = _standard_input_pipe()
+        self._rest = b""
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
@@ -41,21 +42,32 @@ class Ending:
             signal.signal(number, handler)
 
     def wait(self, timeout: float, fd: int | None = None) -> bool:
-        """Wait up to ``timeout`` s for something to read on ``fd``, and tell whether it came."""
-        watched = [number for number in (fd, self._pipe) if number is not None]
+        """Wait up to ``timeout`` s for something to read on ``fd``, and tell whether it came.
+
+        Lines that come in meanwhile are not meant for anybody.
+        """
+        watched = [*self.watched()] if fd is None else [fd, *self.watched()]
         readable, _, _ = select.select(watched, [], [], max(timeout, 0.0))
-        if self._pipe in readable:
-            self._read_pipe()
+        self.hear(readable)
         return fd in readable
 
-    def _read_pipe(self) -> None:
+    def watched(self) -> list[int]:
+        """File descriptors to wait for."""
+        return [] if self._pipe is None else [self._pipe]
+
+    def hear(self, readable: Sequence[int]) -> list[str]:
+        """Return the lines that came in on those descriptors that are readable."""
+        if self._pipe is None or self._pipe not in readable:
+            return []
         said = b""
-        if self._pipe is not None:
-            with contextlib.suppress(OSError):
-                said = os.read(self._pipe, 4096)
+        with contextlib.suppress(OSError):
+            said = os.read(self._pipe, 4096)
         if not said:
             self.due = True
             self._pipe = None
+            return []
+        *lines, self._rest = (self._rest + said).split(b"\n")
+        return [line.decode("utf-8", "replace").strip() for line in lines if line.strip()]
 
     def _told(self, _number: int, _frame: FrameType | None) -> None:
         self.due = True
