@@ -201,70 +201,63 @@ def _on_shorter(before: Score, after: Score) -> str:
 
 def diagnosis_text(diagnosis: Diagnosis) -> RenderableType:
     """A diagnosis as an engineer would report it."""
-    parts: list[RenderableType] = [
-        Text(VERDICTS[diagnosis.verdict], style="bold"),
-        Text(
-            f"Baseline: {', '.join(diagnosis.baseline_terms)}; p {small(diagnosis.p_value)} that it suffices."
-        ),
-    ]
-    parts += [Text(f"! {fault.statement}", style="yellow") for fault in diagnosis.faults]
+    return Group(*_found(diagnosis), *_improvement(diagnosis), *_not_found(diagnosis))
+
+
+def _found(diagnosis: Diagnosis) -> Iterator[RenderableType]:
+    """Verdict, faults, place, missing terms with their rivals, changed values."""
+    yield Text(VERDICTS[diagnosis.verdict], style="bold")
+    yield Text(
+        f"Baseline: {', '.join(diagnosis.baseline_terms)}; p {small(diagnosis.p_value)} that it suffices."
+    )
+    for fault in diagnosis.faults:
+        yield Text(f"! {fault.statement}", style="yellow")
     if diagnosis.location is not None:
-        parts.append(Text(diagnosis.location.statement))
+        yield Text(diagnosis.location.statement)
     for item in diagnosis.missing:
-        parts.append(
-            Text(
-                f"• {keyed(item.term, item.joint)} ({100 * item.probability:.0f} %): {item.statement}",
-                style="green",
-            )
+        name = keyed(item.term, item.joint)
+        yield Text(f"• {name} ({100 * item.probability:.0f} %): {item.statement}", style="green")
+        yield Text(
+            f"  {item.equation};  ΔBIC {item.evidence.delta_bic:.0f}, "
+            f"held-out gain {item.evidence.heldout_loglik_gain:.1f} nats "
+            f"(p = {item.evidence.p_value:.2g})"
         )
-        parts.append(
-            Text(
-                f"  {item.equation};  ΔBIC {item.evidence.delta_bic:.0f}, "
-                f"held-out gain {item.evidence.heldout_loglik_gain:.1f} nats "
-                f"(p = {item.evidence.p_value:.2g})"
-            )
+    for rival in diagnosis.rivals:
+        yield Text(
+            f"  or {keyed(rival.term, rival.joint)} instead of {rival.instead_of} "
+            f"({100 * rival.probability:.0f} %); to tell: {rival.experiment}"
         )
-    parts += [
-        Text(
-            f"  or {keyed(r.term, r.joint)} instead of {r.instead_of} "
-            f"({100 * r.probability:.0f} %); to tell: {r.experiment}"
+    for change in diagnosis.changed:
+        yield Text(
+            f"• {keyed(change.name, change.joint, change.recording)} changed from {change.before:.4g} "
+            f"to {change.after:.4g} {change.unit} (p = {change.p_value:.2g})"
         )
-        for r in diagnosis.rivals
-    ]
-    parts += [
-        Text(
-            f"• {keyed(c.name, c.joint, c.recording)} changed from {c.before:.4g} to {c.after:.4g} {c.unit} "
-            f"(p = {c.p_value:.2g})"
-        )
-        for c in diagnosis.changed
-    ]
+
+
+def _improvement(diagnosis: Diagnosis) -> Iterator[RenderableType]:
+    """Scores before and after, and the model that is left."""
     before, after = diagnosis.before, diagnosis.after
     name = "the test recording" if diagnosis.data == "test" else "held-out data"
-    parts.append(score_table([("before", before), ("after", after)]))
-    parts.append(
-        Text(
-            f"On {name}, which the search never saw: RMSE {before.rmse:.4g} → {after.rmse:.4g}, "
-            f"noise floor {after.noise_floor:.4g}; R² {percent(before.r2, '')} → {percent(after.r2)}."
-        )
+    yield score_table([("before", before), ("after", after)])
+    yield Text(
+        f"On {name}, which the search never saw: RMSE {before.rmse:.4g} → {after.rmse:.4g}, "
+        f"noise floor {after.noise_floor:.4g}; R² {percent(before.r2, '')} → {percent(after.r2)}."
     )
     if diagnosis.shorter is not None:
-        parts.append(Text(_on_shorter(*diagnosis.shorter)))
-    parts.append(parameter_table(diagnosis.final, "The model that is left"))
+        yield Text(_on_shorter(*diagnosis.shorter))
+    yield parameter_table(diagnosis.final, "The model that is left")
+
+
+def _not_found(diagnosis: Diagnosis) -> Iterator[RenderableType]:
+    """What is not there or too small to tell, and what cannot be decided, by reason."""
     if diagnosis.excluded:
-        parts.append(
-            Text(
-                "Not there, or smaller than this (99 %): "
-                + ", ".join(
-                    f"{keyed(e.term, e.joint, e.recording)} {e.largest_hidden:.2g} {e.unit}"
-                    for e in diagnosis.excluded
-                ),
-                style="dim",
-            )
-        )
-    undecided: dict[str, list[str]] = {}
-    for item in diagnosis.undecided:
-        undecided.setdefault(item.reason, []).append(keyed(item.term, item.joint))
-    parts += [
-        Text(f"Undecided: {', '.join(names)}: {reason}.", style="dim") for reason, names in undecided.items()
-    ]
-    return Group(*parts)
+        limits = [
+            f"{keyed(e.term, e.joint, e.recording)} {e.largest_hidden:.2g} {e.unit}"
+            for e in diagnosis.excluded
+        ]
+        yield Text(f"Not there, or smaller than this (99 %): {', '.join(limits)}", style="dim")
+    by_reason: dict[str, list[str]] = {}
+    for undecided in diagnosis.undecided:
+        by_reason.setdefault(undecided.reason, []).append(keyed(undecided.term, undecided.joint))
+    for reason, names in by_reason.items():
+        yield Text(f"Undecided: {', '.join(names)}: {reason}.", style="dim")
