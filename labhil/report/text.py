@@ -256,8 +256,8 @@ def diagnosis_text(diagnosis: Diagnosis) -> RenderableType:
             )
         )
     undecided: dict[str, list[str]] = {}
-    for item in diagnosis.undecided:
-        undecided.setdefault(item.reason, []).append(keyed(item.term, item.joint))
+    for one in diagnosis.undecided:
+        undecided.setdefault(one.reason, []).append(keyed(one.term, one.joint))
     parts += [
         Text(f"Undecided: {', '.join(names)}: {reason}.", style="dim") for reason, names in undecided.items()
     ]
