@@ -122,7 +122,7 @@ class Plot(Widget, can_focus=True):
     def _ticks_of_y(self, rows: int) -> dict[int, str]:
         """What stands beside which row."""
         low, high = self._seen[1]
-        found = ticks(low, high, max(1, min(6, rows // 2)))
+        found = ticks(low, high, max(1, min(6, rows // 3)))
         places = [round((high - tick) / (high - low) * (rows - 1)) for tick in found]
         return dict(zip(places, labels(found), strict=True))
 

@@ -1,12 +1,13 @@
 """What comes over the solenoid's serial line, and how late it is in the file. A command, no test:
 
     python tests/run/measure_serial.py --seconds 600 -o docs/measured/serial.json
+    python tests/run/measure_serial.py --seconds 600 --listen    # nobody commands the coil
 
 A run as `labhil run` makes it, once at 1 kHz and once at 10 kHz: the twin on a pseudo terminal, the driver in
 its host, zenoh, the recorder, the file. The coil is switched at random (a PRBS of 20 ms). A frame is late by
 how much older it is, when the driver has it, than the promptest one within 2 s. A sample has come when the
 recorder has put it into its file, counted from the host's stamp. When that is forced to the disk is another
-matter: every 0.3 s.
+matter: every 0.2 s.
 """
 
 from __future__ import annotations
@@ -25,10 +26,12 @@ from typing import Any
 
 import numpy as np
 import psutil
+from listening import Listened, listened
 from scipy.ndimage import minimum_filter1d
 
 from labhil.codec import stamps_of
 from labhil.experiment.experiment import parse_experiment
+from labhil.experiment.result import RunResult
 from labhil.experiment.run import run_experiment
 from labhil.recording.reader import Recording, StreamData, read_recording
 from labhil.recording.writer import RecordingWriter
@@ -39,13 +42,16 @@ PER_FRAME = {1000: 5, 10_000: 20}
 NEIGHBOURHOOD = 2.0
 QUANTILES = {"median": 0.5, "p99": 0.99, "p99_99": 0.9999, "largest": 1.0}
 LATE_MS = (10, 50, 100)
-EXPERIMENT = """
-[experiment]
-name = "serial"
+DEVICE = """
 [devices.coil]
 plugin = "solenoid"
 address = "twin"
 twin = { seed = 1, set = { sample_rate = RATE, samples_per_frame = FRAME } }
+"""
+EXPERIMENT = f"""
+[experiment]
+name = "serial"
+{DEVICE}
 [[steps]]
 device = "coil"
 signal = "coil_current_command"
@@ -104,15 +110,18 @@ def _cpu(process: psutil.Process) -> float:
     return float(times.user + times.system)
 
 
-def measure(rate: int, seconds: float, folder: Path) -> dict[str, Any]:
-    """One run at ``rate`` (Hz) of so many seconds of the device's clock."""
-    text = EXPERIMENT.replace("RATE", f"{rate}.0").replace("FRAME", f"{PER_FRAME[rate]}.0")
+def measure(rate: int, seconds: float, folder: Path, *, listen: bool) -> dict[str, Any]:
+    """One run at ``rate`` (Hz) of so many seconds of the device's clock, or as long without commands."""
+    text = (DEVICE if listen else EXPERIMENT).replace("RATE", f"{rate}.0")
+    text = text.replace("FRAME", f"{PER_FRAME[rate]}.0").replace("SECONDS", f"{seconds}")
     TimedWriter.ages = []
     meter = Meter()
     meter.start()
-    result = run_experiment(
-        parse_experiment(text.replace("SECONDS", f"{seconds}"), folder / "e.toml"), folder
-    )
+    result: RunResult | Listened
+    if listen:
+        result = listened(text, seconds, folder)
+    else:
+        result = run_experiment(parse_experiment(text, folder / "e.toml"), folder)
     meter.over.set()
     meter.join()
     if result.path is None:
@@ -126,6 +135,7 @@ def measure(rate: int, seconds: float, folder: Path) -> dict[str, Any]:
     return {
         "rate": rate,
         "samples_per_frame": PER_FRAME[rate],
+        "commanded": not listen,
         "exit_status": result.exit_status,
         "ended": result.reason,
         "seconds": round(lasted, 1),
@@ -169,6 +179,7 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--seconds", type=float, default=600.0)
     parser.add_argument("--rate", type=int, nargs="+", choices=PER_FRAME, default=list(PER_FRAME))
+    parser.add_argument("--listen", action="store_true", help="without commands, as labhil serve")
     parser.add_argument("-o", "--out", type=Path)
     options = parser.parse_args()
     recorder.RecordingWriter = TimedWriter  # type: ignore[misc]
@@ -176,7 +187,7 @@ def main() -> None:
     for rate in options.rate:
         with tempfile.TemporaryDirectory() as directory:
             os.environ["XDG_RUNTIME_DIR"] = directory
-            runs.append(measure(rate, options.seconds, Path(directory)))
+            runs.append(measure(rate, options.seconds, Path(directory), listen=options.listen))
         print(runs[-1], file=sys.stderr, flush=True)
     machine = {"cores": os.cpu_count(), "python": platform.python_version()}
     text = json.dumps({"schema": "labhil.serial/1", "machine": machine, "runs": runs}, indent=1)

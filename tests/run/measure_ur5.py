@@ -1,6 +1,7 @@
 """What of a UR5's samples gets into the file at 500 Hz, and what the client's getters would lose. A command:
 
     python tests/run/measure_ur5.py record --seconds 600 -o docs/measured/ur5_record.json
+    python tests/run/measure_ur5.py record --listen    # nobody commands the arm
     python tests/run/measure_ur5.py getters --seconds 60 -o docs/measured/ur5_getters.json
 
 Both use the simulated arm. ``record`` is a whole `labhil run` of a Fourier path on all six joints (whole
@@ -30,8 +31,10 @@ from typing import Any
 
 import numpy as np
 import psutil
+from listening import Listened, listened
 
 from labhil.experiment.experiment import parse_experiment
+from labhil.experiment.result import RunResult
 from labhil.experiment.run import run_experiment
 from labhil.recording.reader import read_recording
 
@@ -39,6 +42,11 @@ HOST = "127.77.0.1"
 RATE = 500.0
 EXAMPLE = Path(__file__).parents[2] / "labhil/experiment/examples/ur5_identify.toml"
 HERE = str(Path(__file__).resolve())
+DEVICE = """
+[devices.arm]
+plugin = "ur5"
+address = "HOST"
+"""
 BUSY = "while True: pass"
 TOO_SLOW = re.compile(r"too slow: (\d+) ticks left out, (\d+) too late")
 
@@ -80,7 +88,7 @@ def percentiles(values: np.ndarray) -> dict[str, float]:
     }
 
 
-def record(seconds: float) -> dict[str, Any]:
+def record(seconds: float, *, listen: bool = False) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         directory, said = Path(folder), Path(folder) / "said"
         text = EXAMPLE.read_text().replace("duration = 60.0", f"duration = {seconds!r}")
@@ -90,7 +98,11 @@ def record(seconds: float) -> dict[str, Any]:
         load, began = [round(x, 1) for x in os.getloadavg()], psutil.cpu_times()
         with twin(said) as address:
             assert address in text
-            result = run_experiment(parse_experiment(text, directory / "e.toml"), directory)
+            result: RunResult | Listened
+            if listen:
+                result = listened(DEVICE.replace("HOST", address), seconds, directory)
+            else:
+                result = run_experiment(parse_experiment(text, directory / "e.toml"), directory)
         ended = psutil.cpu_times()
         if result.path is None:
             raise SystemExit(f"the run failed: {result.reason}")
@@ -101,6 +113,7 @@ def record(seconds: float) -> dict[str, Any]:
         return {
             "schema": "labhil.ur5_record/1",
             "seconds": seconds,
+            "commanded": not listen,
             "exit_status": result.exit_status,
             "reason": result.reason,
             "columns": int(stream.values.shape[1]),
@@ -229,6 +242,8 @@ def main() -> None:
         way = ways.add_parser(what)
         way.add_argument("--seconds", type=float, default=seconds)
         way.add_argument("-o", "--out", type=Path)
+        if what == "record":
+            way.add_argument("--listen", action="store_true", help="without commands, as labhil serve")
     way = ways.add_parser("watch")
     for name, kind in (("way", str), ("host", str), ("seconds", float), ("out", str)):
         way.add_argument(name, type=kind)
@@ -236,7 +251,11 @@ def main() -> None:
     if options.what == "watch":
         watch(options.way, options.host, options.seconds, options.out)
         return
-    text = json.dumps({"record": record, "getters": getters}[options.what](options.seconds), indent=1)
+    if options.what == "record":
+        found = record(options.seconds, listen=options.listen)
+    else:
+        found = getters(options.seconds)
+    text = json.dumps(found, indent=1)
     if options.out is None:
         print(text)
     else:
