@@ -108,7 +108,9 @@ def fit_clock(
         return ClockFit(host, 0.0, 0.0, 0, device_clock=False)
     outliers = int(np.count_nonzero(~good))
     t: FloatArray = np.asarray(level + (1.0 + slope) * device, dtype=np.float64)
-    errors = _errors(device[good], (delay - (level + slope * device))[good])
+    # what was thrown out counts here: where much is late, the line is not as sure as its points say
+    edge = OUTLIER * spread
+    errors = _errors(device, np.clip(delay - (level + slope * device), -edge, edge))
     return ClockFit(t, 1.0 / (1.0 + slope) - 1.0, spread, outliers, True, *errors)
 
 
