@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 from textual.pilot import Pilot
+from textual.widgets import Input
 
 from labhil.tui import lab as labs
 from labhil.tui.app import LabApp
@@ -122,6 +123,7 @@ def check(name: str, found: str, tmp_path: Path) -> None:
 @pytest.fixture(autouse=True)
 def clocks_stand_still(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(labs, "clock_ns", lambda: NOW_NS)
+    monkeypatch.setattr(Input, "_toggle_cursor", lambda _input: None)  # it blinks
 
 
 def draw(name: str, folder: Path, tmp_path: Path, size: tuple[int, int], theme: str = DARK.name) -> None:
