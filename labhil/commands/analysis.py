@@ -120,12 +120,12 @@ def fit(
         options = Options(window, method, simultaneous, estimator_named(estimator), seed, say, small)
         result = fit_study(material, terms=split_names(names), start=model, options=options)
     show_fit(result.fit, results_console(), [*material.numbered(), *material.notes(), *curve_note(model)])
+    if json_path is not None:
+        write_json(result.json, json_path)
     if plot is not None:
         from labhil.report.fit_plot import fit_plot
 
         fit_plot(result.fit, material.judge, plot)
-    if json_path is not None:
-        write_json(result.json, json_path)
     if html is not None:
         from labhil.report.html.study import write_fit_page
 
