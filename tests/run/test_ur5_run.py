@@ -71,7 +71,7 @@ def test_two_arms_move_in_one_run(tmp_path: Path) -> None:
     assert begins["right"] - begins["left"] == pytest.approx(0.5)
 
 
-@pytest.mark.extended
+@pytest.mark.by_hand
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("fault", ["client process killed", "client process hangs", "connections dropped"])
 def test_a_run_waits_and_goes_on_where_it_may(tmp_path: Path, fault: str) -> None:
@@ -81,7 +81,7 @@ def test_a_run_waits_and_goes_on_where_it_may(tmp_path: Path, fault: str) -> Non
     assert outcome.longest_hole < 2.0, "samples do not pass through the client"
 
 
-@pytest.mark.extended
+@pytest.mark.by_hand
 @pytest.mark.timeout(300)
 def test_a_run_goes_on_with_a_controller_that_booted_again(tmp_path: Path) -> None:
     outcome = suffer("controller restarted", host(3), "cb3", True, tmp_path)

@@ -8,7 +8,7 @@ from importlib.resources import files
 
 import pytest
 
-pytestmark = [pytest.mark.extended, pytest.mark.timeout(1800)]
+pytestmark = [pytest.mark.by_hand, pytest.mark.timeout(1800)]
 
 BASELINE = "viscous_friction,coulomb_friction"
 SEEDS = {"identify": "seed = 1", "test": "seed = 2"}
