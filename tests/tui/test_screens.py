@@ -57,6 +57,13 @@ async def release(pilot: Pilot[None], app: LabApp) -> None:
     await keys("1", "f12", "f9")(pilot, app)
 
 
+async def palette(pilot: Pilot[None], _app: LabApp) -> None:
+    """With the first experiment's plan read: what the palette offers depends on it."""
+    await pilot.press("3")
+    await settle(pilot)
+    await pilot.press("1", "ctrl+p")
+
+
 SHOWN: dict[str, Go] = {
     "devices": keys("1"),
     "live": keys("2"),
@@ -70,7 +77,7 @@ SHOWN: dict[str, Go] = {
     "release": release,
     "verify": keys("4", "v"),
     "keys": keys("4", "question_mark"),
-    "palette": keys("1", "ctrl+p"),
+    "palette": palette,
 }
 DOCUMENTED = {
     "devices-80x24": "devices",
