@@ -13,7 +13,6 @@ and is counted apart, and so is one that ended because a setpoint came too late.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import socket
 import sys
@@ -26,6 +25,7 @@ from typing import Any
 
 import numpy as np
 from measure_safety import _pass_on, _received
+from measured import tell
 from scipy.optimize import linprog
 
 from labhil.experiment.experiment import TwinSection, parse_experiment
@@ -158,11 +158,7 @@ def main() -> None:
         "unusable": unusable,
         "runs": runs,
     }
-    text = json.dumps(result, indent=1)
-    if options.out is None:
-        print(text)
-    else:
-        options.out.write_text(text + "\n", encoding="utf-8")
+    tell(result, options.out)
 
 
 if __name__ == "__main__":

@@ -30,6 +30,7 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
+from measured import tell
 
 from labhil.bus import latch
 from labhil.bus.ask import ask
@@ -333,11 +334,7 @@ def main() -> None:
             if options.out is not None:
                 options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     result["machine"] = {"cores": os.cpu_count(), "python": platform.python_version()}
-    text = json.dumps(result, indent=1)
-    if options.out is None:
-        print(text)
-    else:
-        options.out.write_text(text + "\n", encoding="utf-8")
+    tell(result, options.out)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,6 @@ matter: every 0.2 s.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import platform
 import sys
@@ -27,6 +26,7 @@ from typing import Any
 import numpy as np
 import psutil
 from listening import Listened, listened
+from measured import tell
 from scipy.ndimage import minimum_filter1d
 
 from labhil.codec import stamps_of
@@ -190,11 +190,7 @@ def main() -> None:
             runs.append(measure(rate, options.seconds, Path(directory), listen=options.listen))
         print(runs[-1], file=sys.stderr, flush=True)
     machine = {"cores": os.cpu_count(), "python": platform.python_version()}
-    text = json.dumps({"schema": "labhil.serial/1", "machine": machine, "runs": runs}, indent=1)
-    if options.out is None:
-        print(text)
-    else:
-        options.out.write_text(text + "\n", encoding="utf-8")
+    tell({"schema": "labhil.serial/1", "machine": machine, "runs": runs}, options.out)
 
 
 if __name__ == "__main__":

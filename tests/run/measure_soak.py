@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import fcntl
-import json
 import math
 import os
 import platform
@@ -37,6 +36,7 @@ from typing import Any
 
 import numpy as np
 import psutil
+from measured import tell
 
 from labhil.bus.ask import ask
 from labhil.bus.keys import command_key, setpoint_key
@@ -329,11 +329,7 @@ def main() -> None:
         "machine": {"cores": os.cpu_count(), "python": platform.python_version()},
         **found,
     }
-    text = json.dumps(result, indent=1)
-    if options.out is None:
-        print(text)
-    else:
-        options.out.write_text(text + "\n", encoding="utf-8")
+    tell(result, options.out)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import os
 import re
 import subprocess
@@ -32,6 +31,7 @@ from typing import Any
 import numpy as np
 import psutil
 from listening import Listened, listened
+from measured import tell
 
 from labhil.experiment.experiment import parse_experiment
 from labhil.experiment.result import RunResult
@@ -255,11 +255,7 @@ def main() -> None:
         found = record(options.seconds, listen=options.listen)
     else:
         found = getters(options.seconds)
-    text = json.dumps(found, indent=1)
-    if options.out is None:
-        print(text)
-    else:
-        options.out.write_text(text + "\n", encoding="utf-8")
+    tell(found, options.out)
 
 
 if __name__ == "__main__":
