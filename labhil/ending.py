@@ -16,6 +16,24 @@ from typing import Any, Self
 Handler = Callable[[int, FrameType | None], Any] | int | None
 
 
+class Handled:
+    """Signals that go to a function of ours for a while; outside the main thread Python handles none."""
+
+    def __init__(self, numbers: Sequence[int], handler: Handler) -> None:
+        self._numbers, self._handler = numbers, handler
+        self._before: dict[int, Handler] = {}
+
+    def put(self) -> None:
+        """Have them from now on."""
+        if threading.current_thread() is threading.main_thread():
+            self._before = {number: signal.signal(number, self._handler) for number in self._numbers}
+
+    def put_back(self) -> None:
+        """Give them back to whoever had them."""
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+
 class Ending:
     """Context in which SIGINT and SIGTERM set ``due`` instead of ending the process.
 
@@ -25,21 +43,18 @@ class Ending:
 
     def __init__(self) -> None:
         self.due = False
-        self._handlers: dict[int, Handler] = {}
+        self._handled = Handled((signal.SIGINT, signal.SIGTERM), self._told)
         self._pipe = _standard_input_pipe()
         self._rest = b""
 
     def __enter__(self) -> Self:
-        if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM):
-                self._handlers[number] = signal.signal(number, self._told)
+        self._handled.put()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for number, handler in self._handlers.items():
-            signal.signal(number, handler)
+        self._handled.put_back()
 
     def wait(self, timeout: float, fd: int | None = None) -> bool:
         """Wait up to ``timeout`` s for something to read on ``fd``, and tell whether it came.

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import signal
-import threading
-from collections.abc import Callable
 from types import FrameType, TracebackType
-from typing import Any, Self
+from typing import Self
 
-Handler = Callable[[int, FrameType | None], Any] | int | None
+from labhil.ending import Handled
 
 
 class Interruption:
@@ -21,19 +19,16 @@ class Interruption:
 
     def __init__(self) -> None:
         self.reason = ""
-        self._handlers: dict[int, Handler] = {}
+        self._handled = Handled((signal.SIGINT, signal.SIGTERM, signal.SIGHUP), self._note)
 
     def __enter__(self) -> Self:
-        if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-                self._handlers[number] = signal.signal(number, self._note)
+        self._handled.put()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for number, handler in self._handlers.items():
-            signal.signal(number, handler)
+        self._handled.put_back()
 
     def _note(self, number: int, _frame: FrameType | None) -> None:
         self.reason = self.reason or signal.Signals(number).name
