@@ -5,15 +5,70 @@ Imported only by simulation kernels: a process that merely acquires data never l
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
+from functools import cache
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core import caching, config
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
 HOW: dict[str, Any] = {"nogil": True, "fastmath": {"contract"}, "error_model": "numpy"}
 """Products may go into sums without rounding in between; a division by zero is infinite, as in arrays."""
+
+PACKAGE = Path(__file__).parent
+
+
+class Fresh:
+    """Mixed into numba's cache locators: a kernel on disk is as old as the sources of its whole room.
+
+    Numba alone looks at the file of a kernel only, and would go on with the old laws of another file that
+    the kernel has inside.
+    """
+
+    _py_file: str
+
+    def get_source_stamp(self) -> str:
+        """A digest of all sources that the function may have inside."""
+        return _digest(_room(Path(self._py_file)))
+
+
+class FreshInTree(Fresh, caching.InTreeCacheLocator):  # type: ignore[misc]
+    """Kernels beside their sources."""
+
+
+class FreshForUser(Fresh, caching.UserWideCacheLocator):  # type: ignore[misc]
+    """Kernels in the user's cache, where the sources' folder cannot be written."""
+
+
+class FreshElsewhere(Fresh, caching.UserProvidedCacheLocator):  # type: ignore[misc]
+    """Kernels in the folder that ``NUMBA_CACHE_DIR`` names."""
+
+
+def _room(source: Path) -> Path:
+    """The folder below the package in which a source is, or its own folder."""
+    inside = [folder for folder in source.parents if folder.parent == PACKAGE]
+    return inside[0] if inside else source.parent
+
+
+@cache
+def _digest(room: Path) -> str:
+    """Of all Python files in a folder and below; this one says how they are compiled."""
+    sources = [Path(__file__), *sorted(room.rglob("*.py"))]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
+
+
+def _keep_fresh() -> None:
+    """Put these locators before numba's own, unless the user asks for others."""
+    if not config.CACHE_LOCATOR_CLASSES:
+        ours = [f"{kind.__module__}.{kind.__name__}" for kind in (FreshElsewhere, FreshInTree, FreshForUser)]
+        config.CACHE_LOCATOR_CLASSES = ",".join([*ours, "IPythonCacheLocator", "ZipCacheLocator"])
+
+
+_keep_fresh()
 
 
 def compiled(function: Function) -> Function:

@@ -36,6 +36,13 @@ AT_ONCE = 1e6
 FINEST = 0.02
 """Shortest step that any law but a following quantity may ask for, as a share of the sampling period."""
 
+MOST_STEPS = 500
+"""Steps in one straight stretch of the input beyond which a simulation counts as run away.
+
+Values that no part has (a winding whose current turns a rotor over many times between two samples) would
+otherwise be followed through events without end.
+"""
+
 ITERATIONS, TINY = 80, 1e-300
 
 
@@ -301,7 +308,10 @@ def torn(x: float, grip: tuple[float, float], stops: Stops) -> float:
 
 
 def advancer(laws: Laws[Part, Course]) -> Callable[..., tuple[Motion, float]]:
-    """Compile a stretch of h s on which the input is straight, through all stops and starts."""
+    """Compile a stretch of h s on which the input is straight, through all stops and starts.
+
+    It gives NaN where that takes more than ``MOST_STEPS``.
+    """
     follow, settled, grip, pace = laws.follow, laws.settled, laws.grip, laws.pace
     step = stepper(laws)
     rest, move = rester(laws, step), mover(laws, step)
@@ -310,8 +320,11 @@ def advancer(laws: Laws[Part, Course]) -> Callable[..., tuple[Motion, float]]:
     def advance(
         s: Motion, side: float, u: float, rise: float, h: float, finest: float, stops: Stops, part: Part
     ) -> tuple[Motion, float]:
-        t = 0.0
+        t, steps = 0.0, 0
         while h - t > INSTANT:
+            steps += 1
+            if steps > MOST_STEPS:
+                return Motion(np.nan, np.nan, np.nan), side
             now = u + t * rise
             how = follow(s, part)
             if how.rate * h > AT_ONCE:

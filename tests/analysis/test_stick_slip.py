@@ -201,3 +201,45 @@ def test_kernels_are_found_again_on_disk_by_the_next_process():
     subprocess.run(command, capture_output=True, check=True)
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[0, 0]"
+
+
+ENDLESS = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import numpy as np
+from test_stick_slip import turn
+motor = {"inertia": 0.012, "constant": 22.4, "inductance": 9.2e-6, "resistance": 1.97}
+t = 0.01 * np.arange(600)
+u = 5.0 * np.sign(np.sin(3.0 * t))
+speed, current, _ = turn(u, motor, (0.005, 14400.0, 0.0), t, viscous=2757.0, coulomb=716.0)
+assert np.isfinite(speed).all() and np.isfinite(current).all()
+"""
+
+
+def test_a_simulation_of_impossible_values_ends():
+    # a current of 14 kA and a winding of 5 µs: steps no law allows, events without end
+    here = str(Path(__file__).parent)
+    subprocess.run([sys.executable, "-c", ENDLESS, here], check=True, timeout=100)
+
+
+KERNEL = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from kernel import twice
+print(twice(1.0))
+"""
+
+
+def test_a_kernel_on_disk_follows_laws_of_other_files(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
+    (tmp_path / "kernel.py").write_text(
+        "from labhil.compiled import compiled\nfrom law import force\n\n\n"
+        "@compiled\ndef twice(x):\n    return 2.0 * force(x)\n"
+    )
+    for strength in (3.0, 5.0):
+        (tmp_path / "law.py").write_text(
+            f"from labhil.compiled import inlined\n\n\n@inlined\ndef force(x):\n    return {strength} * x\n"
+        )
+        run = [sys.executable, "-B", "-c", KERNEL, str(tmp_path)]
+        said = subprocess.run(run, check=True, capture_output=True, text=True).stdout
+        assert float(said) == 2.0 * strength
