@@ -36,15 +36,15 @@ class Fresh:
         return _digest(_room(Path(self._py_file)))
 
 
-class FreshInTree(Fresh, caching.InTreeCacheLocator):  # type: ignore[misc]
+class FreshInTree(Fresh, caching.InTreeCacheLocator):
     """Kernels beside their sources."""
 
 
-class FreshForUser(Fresh, caching.UserWideCacheLocator):  # type: ignore[misc]
+class FreshForUser(Fresh, caching.UserWideCacheLocator):
     """Kernels in the user's cache, where the sources' folder cannot be written."""
 
 
-class FreshElsewhere(Fresh, caching.UserProvidedCacheLocator):  # type: ignore[misc]
+class FreshElsewhere(Fresh, caching.UserProvidedCacheLocator):
     """Kernels in the folder that ``NUMBA_CACHE_DIR`` names."""
 
 
@@ -63,9 +63,10 @@ def _digest(room: Path) -> str:
 
 def _keep_fresh() -> None:
     """Put these locators before numba's own, unless the user asks for others."""
-    if not config.CACHE_LOCATOR_CLASSES:
+    settings: Any = config
+    if not settings.CACHE_LOCATOR_CLASSES:
         ours = [f"{kind.__module__}.{kind.__name__}" for kind in (FreshElsewhere, FreshInTree, FreshForUser)]
-        config.CACHE_LOCATOR_CLASSES = ",".join([*ours, "IPythonCacheLocator", "ZipCacheLocator"])
+        settings.CACHE_LOCATOR_CLASSES = ",".join([*ours, "IPythonCacheLocator", "ZipCacheLocator"])
 
 
 _keep_fresh()

@@ -165,7 +165,7 @@ Pull = Callable[[Motion, float, float, Part], float]
 
 def with_extra(laws: Laws[Part, Course]) -> Laws[Pushed[Part], PushedCourse[Course]]:
     """The laws of the same part under one more force."""
-    pull, target, follow, settled, grip, pace, at = laws
+    pull, target, follow, settled, grip, pace, damping, at = laws
 
     @specialised
     def pulled(s: Motion, side: float, u: float, p: Pushed[Part]) -> float:
@@ -200,9 +200,14 @@ def with_extra(laws: Laws[Part, Course]) -> Laws[Pushed[Part], PushedCourse[Cour
         return min(size, max(p.beyond.width / (abs(rate) + TINY), finest))
 
     @specialised
+    def damped(s: Motion, side: float, p: Pushed[Part]) -> tuple[float, float]:
+        # a curve over velocity damps as well: such a part is not said to creep
+        return damping(s, side, p.part) if p.beyond.over < 3 else (0.0, 0.0)
+
+    @specialised
     def between(p: Pushed[Part], c: PushedCourse[Course], k: int) -> Pushed[Part]:
         b = p.beyond
         here = Beyond(b.over, b.low, b.per_unit, b.turn, b.width, b.values, c.along[k])
         return Pushed(at(p.part, c.course, k), here)
 
-    return Laws(pulled, aimed, following, at_rest, gripped, paced, between)
+    return Laws(pulled, aimed, following, at_rest, gripped, paced, damped, between)

@@ -49,7 +49,6 @@ NARROW = 30.0
 RESOLVED = 0.3
 """Share of a time constant, or of the width of a Stribeck peak, that one step may pass."""
 
-
 Law = tuple[float, float, float, float, float, float, float, float, float, float]
 """Strengths in the order of the places, as kernels hold them."""
 
@@ -81,6 +80,17 @@ def friction(x: float, v: float, side: float, load: float, f: Law) -> float:
         dry += f[STRIBECK] * np.exp(-speed / f[STRIBECK_VELOCITY])
     viscous = v * (f[VISCOUS] + f[QUADRATIC] * speed + f[CUBIC] * v * v) + f[ASYMMETRIC_VISCOUS] * speed
     return side * dry + viscous
+
+
+@inlined
+def damping(v: float, side: float, f: Law) -> tuple[float, float]:
+    """How fast friction rises with velocity, 1/s, and at most how fast that changes with it, 1/m."""
+    speed, peak = abs(v), 0.0
+    if f[STRIBECK] != 0.0 and speed < NARROW * f[STRIBECK_VELOCITY]:
+        peak = f[STRIBECK] / f[STRIBECK_VELOCITY] * np.exp(-speed / f[STRIBECK_VELOCITY])
+    rate = f[VISCOUS] + 2.0 * f[QUADRATIC] * speed + 3.0 * f[CUBIC] * v * v + side * f[ASYMMETRIC_VISCOUS]
+    bend = 2.0 * abs(f[QUADRATIC]) + 6.0 * abs(f[CUBIC]) * speed
+    return rate - peak, bend + (abs(peak) / f[STRIBECK_VELOCITY] if peak != 0.0 else 0.0)
 
 
 @inlined

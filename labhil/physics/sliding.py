@@ -12,7 +12,7 @@ import numpy as np
 
 from labhil.compiled import inlined
 from labhil.physics.extra_force import Beyond, Pushed, PushedCourse, with_extra
-from labhil.physics.friction import RESOLVED, Law, friction, hold, law_of, pace, thinned
+from labhil.physics.friction import RESOLVED, Law, damping, friction, hold, law_of, pace, thinned
 from labhil.physics.stick_slip import TINY, Follows, Laws, Motion, Stops, integrator
 from labhil.signals import FloatArray, IntArray
 
@@ -139,7 +139,7 @@ def settled(s: Motion, u: float, p: Slider) -> float:
 @inlined
 def follow(s: Motion, p: Slider) -> Follows:
     """Nothing follows here."""
-    return Follows(0.0, 0.0, 0.0)
+    return Follows(0.0, 0.0, 0.0, 0.0)
 
 
 @inlined
@@ -149,13 +149,23 @@ def longest(
     """The longest step, s: short against the swing on the spring, the Stribeck peak and the cogging."""
     if side == 0.0:
         return np.inf
-    size = min(SHARE_OF_SWING / np.sqrt(stiffness(u, s.x, p) + TINY), pace(s.v, pull(s, side, u, p), p.law))
+    stiff = stiffness(u, s.x, p) + TINY
+    if how.creep > 0.0:
+        size = RESOLVED * how.creep / stiff
+    else:
+        size = min(SHARE_OF_SWING / np.sqrt(stiff), pace(s.v, pull(s, side, u, p), p.law))
     if p.part.cogging_sine != 0.0 or p.part.cogging_cosine != 0.0:
         size = min(size, RESOLVED / (abs(p.part.cogging_order * s.v) + TINY))
     return max(size, finest)
 
 
-LAWS = Laws(pull, target, follow, settled, grip, longest, at)
+@inlined
+def damped(s: Motion, side: float, p: Slider) -> tuple[float, float]:
+    """How friction damps a moving part."""
+    return damping(s.v, side, p.law)
+
+
+LAWS = Laws(pull, target, follow, settled, grip, longest, damped, at)
 run = integrator(LAWS)
 run_pushed = integrator(with_extra(LAWS))
 

@@ -7,7 +7,10 @@ solved for within a step, so nothing depends on how they fall between samples.
 
 Position and velocity are stepped by the classical Runge-Kutta method. The following quantity is solved
 exactly in each of its stages for a target that is a parabola through those known so far, so that its rate
-may be anything from zero to infinity.
+may be anything from zero to infinity. Where friction damps so fast that a part creeps at the velocity that
+balances its drive, the velocity follows that balance by an exponential step (the second-order exponential
+Rosenbrock method: Hochbruck and Ostermann, Acta Numerica 19, 2010, eq. 2.34, with the drive's slope), for
+explicit steps would have to be as short as the decay.
 """
 
 from __future__ import annotations
@@ -32,6 +35,12 @@ INSTANT = 1e-12
 
 AT_ONCE = 1e6
 """Rate times the length of a stretch above which the following quantity is simply there."""
+
+SWIFT = 3.0
+"""Time constants of damping in the rest of a stretch from which on a part may be said to creep."""
+
+BALANCED = 0.1
+"""Share of itself by which the damping of a creeping part may change on its way to the balance."""
 
 FINEST = 0.02
 """Shortest step that any law but a following quantity may ask for, as a share of the sampling period."""
@@ -66,11 +75,15 @@ NO_STOPS = Stops(-np.inf, np.inf, 0.0)
 
 
 class Follows(NamedTuple):
-    """How a follows during one step: its rate, 1/s, and two numbers that its target may depend on."""
+    """How a follows during one step: its rate, 1/s, and two numbers that its target may depend on.
+
+    ``creep`` is the rate at which the velocity follows the drive, 1/s; 0 where inertia matters.
+    """
 
     rate: float
     gauge: float
     bias: float
+    creep: float
 
 
 class Laws(NamedTuple, Generic[Part, Course]):
@@ -97,6 +110,10 @@ class Laws(NamedTuple, Generic[Part, Course]):
     pace: Callable[[Motion, float, float, float, float, Follows, float, Part], float]
     """(state, side, u, its rise per second, time since the input last bent, how a follows, finest, part) to
     the longest step, s; ``finest`` is the least that friction may ask for."""
+
+    damping: Callable[[Motion, float, Part], tuple[float, float]]
+    """(state, side, part) to how fast the pull of a moving part falls with its velocity, 1/s (0 or less: it
+    does not), and at most how fast that changes with velocity, 1/m."""
 
     at: Callable[[Part, Course, int], Part]
     """(part, what changes along the recording, k) to the part as it is between samples k and k + 1."""
@@ -154,7 +171,24 @@ def stepper(laws: Laws[Part, Course]) -> Step[Part]:
     pull, target = laws.pull, laws.target
 
     @specialised
+    def crept(s: Motion, side: float, u: float, rise: float, h: float, how: Follows, part: Part) -> Motion:
+        end, goal, pulled = u + h * rise, target(s, u, how, part), pull(s, side, u, part)
+        _, _, long, long_ramp, bend = answers(h * how.rate)
+        _, _, whole, ramp, _ = answers(h * how.creep)
+        x, v, a = s.x + h * s.v, s.v, s.a
+        for _ in range(2):  # the way there tells where the drive will be
+            last = target(Motion(x, v, s.a), end, how, part)
+            a = followed(s.a, goal, 0.5 * (goal + last), last, long, long_ramp, bend)
+            drift = pull(Motion(x, s.v, a), side, end, part) - pulled
+            v = s.v + (whole * pulled + ramp * drift) / how.creep
+            way = ramp * pulled + (0.5 - ramp / (h * how.creep)) * drift
+            x = s.x + h * (s.v + way / how.creep)
+        return Motion(x, v, a)
+
+    @specialised
     def step(s: Motion, side: float, u: float, rise: float, h: float, how: Follows, part: Part) -> Motion:
+        if how.creep > 0.0 and side != 0.0 and h > 0.0:
+            return crept(s, side, u, rise, h, how, part)
         moves = 0.0 if side == 0.0 else 1.0
         half = 0.5 * h
         middle, end = u + half * rise, u + h * rise
@@ -313,8 +347,16 @@ def advancer(laws: Laws[Part, Course]) -> Callable[..., tuple[Motion, float]]:
     It gives NaN where that takes more than ``MOST_STEPS``.
     """
     follow, settled, grip, pace = laws.follow, laws.settled, laws.grip, laws.pace
+    pull, damping = laws.pull, laws.damping
     step = stepper(laws)
     rest, move = rester(laws, step), mover(laws, step)
+
+    @specialised
+    def creep(s: Motion, side: float, u: float, left: float, part: Part) -> float:
+        rate, bend = damping(s, side, part)
+        if rate * left < SWIFT:
+            return 0.0
+        return rate if abs(pull(s, side, u, part)) * bend <= BALANCED * rate * rate else 0.0
 
     @specialised
     def advance(
@@ -328,10 +370,12 @@ def advancer(laws: Laws[Part, Course]) -> Callable[..., tuple[Motion, float]]:
             now = u + t * rise
             how = follow(s, part)
             if how.rate * h > AT_ONCE:
-                how = Follows(np.inf, how.gauge, how.bias)
+                how = Follows(np.inf, how.gauge, how.bias, 0.0)
                 s = Motion(s.x, s.v, settled(s, now, part))
             if side == 0.0:
                 side = torn(s.x, grip(s, now, part), stops)
+            if side != 0.0:
+                how = Follows(how.rate, how.gauge, how.bias, creep(s, side, now, h - t, part))
             size = min(h - t, pace(s, side, now, rise, t, how, finest, part))
             if side == 0.0:
                 s, side, taken = rest(s, side, now, rise, size, finest, how, stops, part)

@@ -13,7 +13,7 @@ import numpy as np
 
 from labhil.compiled import inlined
 from labhil.physics.extra_force import Beyond, Pushed, PushedCourse, with_extra
-from labhil.physics.friction import RESOLVED, Law, friction, hold, law_of, pace, thinned
+from labhil.physics.friction import RESOLVED, Law, damping, friction, hold, law_of, pace, thinned
 from labhil.physics.stick_slip import FINEST, NO_STOPS, TINY, Follows, Laws, Motion, integrator
 from labhil.signals import FloatArray, IntArray
 
@@ -67,13 +67,13 @@ def at(r: Rotor, c: Course, k: int) -> Rotor:
 def follow(s: Motion, r: Rotor) -> Follows:
     """Rate of the current, the resistance that damps it (Ω; near zero brushes add to it), their drop, V."""
     m = r.motor
-    damping, bias = r.resistance, 0.0
+    gauge, bias = r.resistance, 0.0
     if m.brush_drop != 0.0:
         if abs(s.a) < m.brush_width:
-            damping += m.brush_drop / m.brush_width
+            gauge += m.brush_drop / m.brush_width
         else:
             bias = m.brush_drop * np.sign(s.a)
-    return Follows(damping / m.inductance if m.inductance > 0.0 else np.inf, damping, bias)
+    return Follows(gauge / m.inductance if m.inductance > 0.0 else np.inf, gauge, bias, 0.0)
 
 
 @inlined
@@ -145,7 +145,8 @@ def longest(
     turning = pull(s, side, u, r)
     coupling = m.constant * m.constant / m.inertia
     swift = min(coupling / how.gauge, np.sqrt(coupling / (m.inductance + TINY)))
-    size = min(size, max(min(pace(s.v, turning, r.law), RESOLVED / (swift + TINY)), finest))
+    steady = np.inf if how.creep > 0.0 else pace(s.v, turning, r.law)
+    size = min(size, max(min(steady, RESOLVED / (swift + TINY)), finest))
     if how.rate * min(size, finest / FINEST) <= FIRST_SHARE or how.rate == np.inf:
         return size
     course = goal - (rise - m.constant * turning) / (how.gauge * how.rate)
@@ -153,7 +154,13 @@ def longest(
     return min(size, FIRST_SHARE / how.rate * np.exp(min(since * how.rate / FADES, 50.0)) * off**-0.2)
 
 
-LAWS = Laws(pull, target, follow, settled, grip, longest, at)
+@inlined
+def damped(s: Motion, side: float, r: Rotor) -> tuple[float, float]:
+    """How friction damps a turning rotor."""
+    return damping(s.v, side, r.law)
+
+
+LAWS = Laws(pull, target, follow, settled, grip, longest, damped, at)
 run = integrator(LAWS)
 run_pushed = integrator(with_extra(LAWS))
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from labhil.physics import friction, sliding, winding
 
@@ -201,6 +202,30 @@ def test_kernels_are_found_again_on_disk_by_the_next_process():
     subprocess.run(command, capture_output=True, check=True)
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[0, 0]"
+
+
+def test_a_part_that_friction_damps_swiftly_follows_a_ramp_exactly():
+    rate, rise = 5000.0, 3.0
+    _, v = slide(rise * T, viscous=rate)
+    by_hand = rise / rate * (T - (1.0 - np.exp(-rate * T)) / rate)
+    np.testing.assert_allclose(v, by_hand, rtol=1e-9, atol=1e-15)
+
+
+def test_creep_where_friction_rises_from_nothing_agrees_with_a_stiff_solver():
+    # below 0.1 mm/s friction grows from 0.2 to 1: explicit steps would have to be as short as 10 µs
+    width, u = 1e-4, 0.6 + 0.3 * np.sin(2.0 * T)
+    x, v = slide(u, coulomb=1.0, stribeck=-0.8, stribeck_velocity=width)
+
+    def slopes(t, s):
+        return [s[1], 0.6 + 0.3 * np.sin(2.0 * t) - 1.0 + 0.8 * np.exp(-s[1] / width)]
+
+    def jacobian(t, s):
+        return [[0.0, 1.0], [0.0, -0.8 / width * np.exp(-s[1] / width)]]
+
+    solved = solve_ivp(slopes, (0.0, T[-1]), [0.0, 0.0], "Radau", T, rtol=1e-9, atol=1e-13, jac=jacobian)
+    assert np.ptp(v) > width
+    np.testing.assert_allclose(x, solved.y[0], atol=1e-3 * np.ptp(x))
+    np.testing.assert_allclose(v, solved.y[1], atol=5e-3 * width)
 
 
 ENDLESS = """
