@@ -10,6 +10,8 @@ import typer
 
 from labhil.console import refuse_unwritable, results_console, status, write_json
 
+METHOD = "diagnose, or stepwise: forward steps by the extended BIC, to compare with."
+
 
 def add_trials(app: typer.Typer) -> None:
     """Register these commands."""
@@ -60,17 +62,20 @@ def trial_run(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder of `labhil trial make`.")],
     *,
     jobs: Annotated[int | None, typer.Option(help="Processes (default: one a core).")] = None,
+    method: Annotated[str, typer.Option(help=METHOD)] = "diagnose",
 ) -> None:
     """Diagnose all trials blind; every result is kept at once and hashed.
 
     The diagnoses run in processes that are given DIR alone and cannot open an envelope, wherever it lies.
     The same command goes on where it was interrupted. A diagnosis that fails is recorded as a failure.
     """
+    from labhil.campaign.trials.folder import Results
     from labhil.campaign.trials.run import run_trials
 
     with status() as say:
-        sealed = run_trials(folder, jobs or _cores(), say)
-    print(f"Results in {folder / 'results'}; SHA-256 of their hashes ({folder / 'results.sha256'}): {sealed}")
+        sealed = run_trials(folder, jobs or _cores(), say, method)
+    results = Results(folder, method)
+    print(f"Results in {folder / results.name}; SHA-256 of their hashes ({results.hashes}): {sealed}")
 
 
 def trial_score(
@@ -78,6 +83,7 @@ def trial_score(
     answers: Annotated[Path, typer.Argument(metavar="ANSWERS", help="The folder of its answers.")],
     *,
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
+    method: Annotated[str, typer.Option(help=METHOD)] = "diagnose",
 ) -> None:
     """Open the envelopes and score what was said: detection, naming, false alarms, reliability, errors.
 
@@ -88,7 +94,7 @@ def trial_score(
 
     refuse_unwritable(json_path)
     with status() as say:
-        card = score_trials(folder, answers, say)
+        card = score_trials(folder, answers, say, method)
     show(card, results_console())
     if json_path is not None:
         write_json(card.to_json(), json_path)

@@ -98,8 +98,7 @@ class Drive:
         self.path = InputPath.of(values)
         if self.path.delay > LONGEST_DELAY * stamps.period:
             raise UsageError(f"time_delay.delay is too long for a sample period of {stamps.period:g} s")
-        self.tolerance = body.tolerance
-        self._kernel, self._numbers, self._body = kernel, packed(numbers), body
+        self._kernel, self._numbers, self._body = kernel, packed(numbers), packed(body)
         friction = Friction.of(values)
         self._friction, self._way = packed(friction), packed(self.path)
         self.stamps, self._held = stamps, held
@@ -114,6 +113,15 @@ class Drive:
         self._count = np.zeros(2, dtype=np.int64)
         self._work = Work(np.zeros((STAGES, n)), np.zeros(n), np.full(n, FLOOR))
         self._row = np.append(self._state, 0.0)
+
+    @property
+    def tolerance(self) -> float:
+        """Error of a step that is let pass, over the size of the state."""
+        return float(self._body["tolerance"])
+
+    @tolerance.setter
+    def tolerance(self, value: float) -> None:
+        self._body["tolerance"] = value
 
     @property
     def time(self) -> float:
@@ -155,12 +163,12 @@ class Drive:
         rows = np.empty((len(values), len(self._row)))
         self._kernel(
             values, ends, self._clock, self._times, self._values, self._count, self._memory, self._held,
-            self._state, self._mode, packed(self._body._replace(tolerance=self.tolerance)), self._numbers,
+            self._state, self._mode, self._body, self._numbers,
             self._friction, self._way, self._work, rows,
         )  # fmt: skip
         if len(rows):
             self._row = rows[-1].copy()
-        if not np.all(np.isfinite(self._row)):
+        if not np.isfinite(self._row.sum()):
             raise UsageError("the plant runs away with these parameters: its states are no finite numbers")
         return rows, ends
 

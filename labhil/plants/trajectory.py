@@ -16,6 +16,9 @@ from labhil.signals import FloatArray
 LARGEST_JITTER = 0.4
 """Share of a period by which a sample is early or late at most."""
 
+AT_ONCE = 256
+"""Random numbers that are drawn together."""
+
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
@@ -56,10 +59,9 @@ class Stamps:
         self._beat += n
         if not self._jitter:
             return np.asarray(self.period * beats)
+        most = LARGEST_JITTER * self.period
         late = self._jitter * self._late.standard_normal(n)
-        return np.asarray(
-            self.period * beats + np.clip(late, -LARGEST_JITTER * self.period, LARGEST_JITTER * self.period)
-        )
+        return np.asarray(self.period * beats + np.minimum(np.maximum(late, -most), most))
 
     def seen(self, t: FloatArray) -> FloatArray:
         """What stamps say of the true times ``t`` (n,)."""
@@ -71,18 +73,36 @@ class Noise:
 
     def __init__(self, random: np.random.Generator, correlation: float) -> None:
         self._random, self._share = random, correlation
+        self._fresh = math.sqrt(1.0 - correlation**2)
         self._last: float | None = None
+        self._ready, self._used = np.empty(0), 0
 
     def draw(self, n: int) -> FloatArray:
         """The next n samples."""
-        noise = self._random.standard_normal(n)
-        if self._share and n:
+        noise = self._white(n)
+        if not self._share or not n:
+            return noise
+        if self._last is None:
             # the very first sample has no one before it, and is as large as the others
-            noise[0 if self._last is not None else 1 :] *= math.sqrt(1.0 - self._share**2)
-            before = [self._share * (self._last or 0.0)]
-            noise = np.asarray(lfilter([1.0], [1.0, -self._share], noise, zi=before)[0])
-            self._last = float(noise[-1])
+            noise[1:] *= self._fresh
+        else:
+            noise *= self._fresh
+        before = self._share * (self._last or 0.0)
+        if n == 1:
+            noise[0] += before
+        else:
+            noise = np.asarray(lfilter([1.0], [1.0, -self._share], noise, zi=[before])[0])
+        self._last = float(noise[-1])
         return noise
+
+    def _white(self, n: int) -> FloatArray:
+        """The next n of unit variance, drawn many at a time: a rig that is stepped asks for one by one."""
+        if self._used + n > len(self._ready):
+            left = self._ready[self._used :]
+            self._ready = np.append(left, self._random.standard_normal(max(n - len(left), AT_ONCE)))
+            self._used = 0
+        self._used += n
+        return self._ready[self._used - n : self._used].copy()
 
 
 class Channel:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from labhil.campaign.trials.run import run_trials
 from labhil.campaign.trials.said import Regime, said_in
 from labhil.campaign.trials.score import score_trials
 from labhil.campaign.trials.seal import open_envelope, seal, write_envelope
+from labhil.campaign.trials.stepwise import log_ways
 from labhil.cli import app
 from labhil.errors import UnknownNameError, UsageError
 from labhil.recording.reader import read_recording
@@ -157,13 +159,13 @@ def here(monkeypatch):
     """Diagnoses in this process, by a stand-in that counts what it was asked."""
     asked = []
 
-    def diagnose_all(folder, names, hashes, jobs, progress):
+    def diagnose_all(results, names, hashes, jobs, progress):
         for name in names:
             asked.append(name)
-            path = folder / "results" / f"{name}.json"
+            path = results.of(name)
             path.write_text(json.dumps(NOTHING))
             hashes[name] = run.sha256_of(path)
-            run.write_hashes(folder, hashes)
+            results.write_hashes(hashes)
 
     monkeypatch.setattr(run, "_diagnose_all", diagnose_all)
     return asked
@@ -178,6 +180,32 @@ def test_a_run_goes_on_where_it_was_interrupted(listed_set, here):
     assert run_trials(folder, 1, silent) == first
     assert here == ["001", "002", "002"]
     assert score_trials(folder, answers, silent).false_alarms == Share(0, 2)
+
+
+def test_methods_answer_the_same_trials_beside_each_other(listed_set, here):
+    folder, answers = listed_set
+    run_trials(folder, 1, silent, "stepwise")
+    with pytest.raises(UsageError, match="expected results of 2 trials, found 0"):
+        score_trials(folder, answers, silent)
+    assert score_trials(folder, answers, silent, "stepwise").false_alarms == Share(0, 2)
+    with pytest.raises(UnknownNameError, match="--method"):
+        run_trials(folder, 1, silent, "guess")
+
+
+def test_the_extended_criterion_counts_the_ways_to_choose():
+    for possible, chosen in [(20, 0), (20, 1), (20, 3), (7, 7)]:
+        assert log_ways(possible, chosen) == pytest.approx(math.log(math.comb(possible, chosen)), abs=1e-9)
+
+
+@pytest.mark.extended
+def test_forward_steps_name_a_strong_effect_and_are_scored(tmp_path):
+    folder = tmp_path / "set"
+    order = Order("axis", 3, "1", folder, answers_beside(folder), 4)
+    make_trials(order, 2, silent)
+    run_trials(folder, 2, silent, "stepwise")
+    card = score_trials(folder, order.answers, silent, "stepwise")
+    assert (card.trials, card.failures) == (3, 0)
+    assert sum(card.confusion.values()) >= 3
 
 
 def test_a_changed_result_is_refused(listed_set, here):

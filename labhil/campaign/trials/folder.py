@@ -13,8 +13,9 @@ from labhil.errors import UsageError
 SCHEMA = "labhil.trials/1"
 INDEX = "trials.json"
 RIG = "rig.toml"
-RESULTS = "results"
-HASHES = "results.sha256"
+DIAGNOSE, STEPWISE = "diagnose", "stepwise"
+METHODS = (DIAGNOSE, STEPWISE)
+"""How trials may be answered: by a diagnosis, or by what it is compared with."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,21 +83,40 @@ def replace_text(path: Path, text: str) -> None:
     part.replace(path)
 
 
-def read_hashes(folder: Path) -> dict[str, str]:
-    """SHA-256 of each result by the trial's name; UsageError for a line that is not ``hash  path``."""
-    path = folder / HASHES
-    if not path.exists():
-        return {}
-    hashes = {}
-    for line in path.read_text(encoding="utf-8").splitlines():
-        found, _, place = line.partition("  ")
-        if len(found) != 64 or not place:
-            raise UsageError(f"{path}: expected lines of a SHA-256 and a path, found {line!r}")
-        hashes[Path(place).stem] = found
-    return hashes
+@dataclass(frozen=True, slots=True)
+class Results:
+    """Where the answers of one method stand in a folder of trials, and their hashes."""
 
+    folder: Path
+    method: str = DIAGNOSE
 
-def write_hashes(folder: Path, hashes: Mapping[str, str]) -> None:
-    """Write them as ``sha256sum -c`` reads them, sorted."""
-    lines = [f"{hashes[name]}  {RESULTS}/{name}.json\n" for name in sorted(hashes)]
-    replace_text(folder / HASHES, "".join(lines))
+    @property
+    def name(self) -> str:
+        """Of their folder."""
+        return "results" if self.method == DIAGNOSE else f"results-{self.method}"
+
+    @property
+    def hashes(self) -> Path:
+        """The file of hashes."""
+        return self.folder / f"{self.name}.sha256"
+
+    def of(self, trial: str) -> Path:
+        """The answer to one trial."""
+        return self.folder / self.name / f"{trial}.json"
+
+    def read_hashes(self) -> dict[str, str]:
+        """SHA-256 of each answer by the trial's name; UsageError for a line that is not ``hash  path``."""
+        if not self.hashes.exists():
+            return {}
+        found = {}
+        for line in self.hashes.read_text(encoding="utf-8").splitlines():
+            digest, _, place = line.partition("  ")
+            if len(digest) != 64 or not place:
+                raise UsageError(f"{self.hashes}: expected lines of a SHA-256 and a path, found {line!r}")
+            found[Path(place).stem] = digest
+        return found
+
+    def write_hashes(self, hashes: Mapping[str, str]) -> None:
+        """Write them as ``sha256sum -c`` reads them, sorted."""
+        lines = [f"{hashes[trial]}  {self.name}/{trial}.json\n" for trial in sorted(hashes)]
+        replace_text(self.hashes, "".join(lines))

@@ -234,18 +234,36 @@ class OneInputSetup:
         t: FloatArray = bench.period * np.arange(n + 1, dtype=np.float64)
         excitation = EXCITATIONS[made.excitation](t, loop, np.random.default_rng([seed, 1]))
         law = Law(loop.controller, bench.period)
+        if commands is None and not loop.closed:
+            commands = np.array([law.command(value, 0.0) for value in excitation.tolist()])
+        if commands is not None:
+            return _followed(plant, commands, KINDS[bench.kind].inputs[0])
         rows: list[Mapping[str, float]] = []
         stamps, sent, seen = np.empty(n + 1), np.empty(n + 1), 0.0
         for k in range(n + 1):
-            sent[k] = commands[k] if commands is not None else law.command(float(excitation[k]), seen)
+            sent[k] = law.command(float(excitation[k]), seen)
             rows.append(plant.step(float(sent[k])))
             stamps[k] = _clock(plant)
             seen = rows[-1][bench.outputs[0]]
         source = KINDS[bench.kind].inputs[0]
-        # a command that is held acts after the sample beside which it stands, another has just been reached
-        acting = sent[1:] if source.hold is Hold.ZERO else sent[:-1]
         signals = {name: np.array([row[name] for row in rows[:-1]]) for name in rows[0]}
-        return Walk(stamps[:-1] - stamps[0], sent, {source.name: acting} | signals)
+        return Walk(stamps[:-1] - stamps[0], sent, {source.name: _acting(sent, source)} | signals)
+
+
+def _followed(plant: Plant, sent: FloatArray, source: Signal) -> Walk:
+    """What a plant does at commands (n + 1,) that are known beforehand."""
+    plant.step(float(sent[0]))
+    acting = _acting(sent, source)
+    run = plant.simulate(acting)
+    return Walk(run.t, sent, {source.name: acting, **run.measured})
+
+
+def _acting(sent: FloatArray, source: Signal) -> FloatArray:
+    """The input (n,) beside each sample, of the commands (n + 1,).
+
+    A command that is held acts after the sample beside which it stands, another has just been reached.
+    """
+    return sent[1:] if source.hold is Hold.ZERO else sent[:-1]
 
 
 def _counts_samples(secret: Secret) -> bool:

@@ -19,17 +19,18 @@ from pathlib import Path
 from typing import Any
 
 from labhil.campaign.trials.folder import (
-    HASHES,
-    RESULTS,
+    DIAGNOSE,
+    METHODS,
+    STEPWISE,
     Listed,
-    read_hashes,
+    Results,
     read_index,
     recording,
     replace_text,
-    write_hashes,
 )
 from labhil.campaign.trials.seal import sha256_of
-from labhil.errors import UsageError
+from labhil.campaign.trials.stepwise import stepwise_study
+from labhil.errors import UnknownNameError, UsageError
 from labhil.report.material import load_material
 from labhil.report.study import diagnose_study
 
@@ -37,32 +38,37 @@ SCHEMA = "labhil.diagnosis/1"
 Progress = Callable[[str], None]
 
 
-def run_trials(folder: Path, jobs: int, progress: Progress) -> str:
+def run_trials(folder: Path, jobs: int, progress: Progress, method: str = DIAGNOSE) -> str:
     """Diagnose the trials that have no result yet, in ``jobs`` processes; the SHA-256 of all hashes.
 
     A result that is not the one that was hashed is refused. UsageError where recordings are not the
-    sealed ones.
+    sealed ones, UnknownNameError for a method that is none.
     """
     if jobs < 1:
         raise UsageError(f"--jobs: expected at least 1, found {jobs}")
+    if method not in METHODS:
+        raise UnknownNameError("--method", method, METHODS)
+    results = Results(folder, method)
     index = read_index(folder)
     for listed in index.trials:
         _check_recordings(folder, listed)
-    (folder / RESULTS).mkdir(exist_ok=True)
-    hashes = _kept(folder)
+    (folder / results.name).mkdir(exist_ok=True)
+    hashes = _kept(results)
     missing = [listed.name for listed in index.trials if listed.name not in hashes]
     if missing:
-        _diagnose_all(folder, missing, hashes, jobs, progress)
-    return sha256_of(folder / HASHES)
+        _diagnose_all(results, missing, hashes, jobs, progress)
+    return sha256_of(results.hashes)
 
 
-def _kept(folder: Path) -> dict[str, str]:
+def _kept(results: Results) -> dict[str, str]:
     """The hashes of results that are there; what was written but not hashed is diagnosed again."""
-    hashes = read_hashes(folder)
+    hashes = results.read_hashes()
     for name, expected in hashes.items():
-        path = folder / RESULTS / f"{name}.json"
+        path = results.of(name)
         if not path.exists() or sha256_of(path) != expected:
-            raise UsageError(f"{path}: is not the result that {HASHES} names: expected SHA-256 {expected}")
+            raise UsageError(
+                f"{path}: is not the result that {results.hashes.name} names: expected SHA-256 {expected}"
+            )
     return hashes
 
 
@@ -75,21 +81,23 @@ def _check_recordings(folder: Path, listed: Listed) -> None:
 
 
 def _diagnose_all(
-    folder: Path, names: list[str], hashes: dict[str, str], jobs: int, progress: Progress
+    results: Results, names: list[str], hashes: dict[str, str], jobs: int, progress: Progress
 ) -> None:
     # spawned processes share no memory with this one, whatever it has read
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(jobs, mp_context=context, initializer=keep_envelopes_shut) as executor:
-        futures = {executor.submit(diagnose_trial, folder, name): name for name in names}
+        futures = {
+            executor.submit(diagnose_trial, results.folder, name, results.method): name for name in names
+        }
         try:
             for count, future in enumerate(as_completed(futures), 1):
                 name = futures[future]
                 result = future.result()
-                path = folder / RESULTS / f"{name}.json"
+                path = results.of(name)
                 text = json.dumps(result, ensure_ascii=False, allow_nan=False, indent=1)
                 replace_text(path, text + "\n")
                 hashes[name] = sha256_of(path)
-                write_hashes(folder, hashes)
+                results.write_hashes(hashes)
                 said = result["verdict"] or f"failed: {result['error']}"
                 progress(f"{count} of {len(names)} trials diagnosed; {name}: {said}")
         except BaseException:
@@ -109,12 +117,15 @@ def _refuse_envelopes(event: str, arguments: tuple[Any, ...]) -> None:
             raise PermissionError(f"{name}: a diagnosis of sealed trials opens no envelopes")
 
 
-def diagnose_trial(folder: Path, name: str) -> dict[str, Any]:
+def diagnose_trial(folder: Path, name: str, method: str = DIAGNOSE) -> dict[str, Any]:
     """The diagnosis of one trial as JSON data; one that fails has the verdict null and says why."""
     began = time.perf_counter()
     try:
         search, test = (recording(folder, name, role) for role in ("search", "test"))
-        result: dict[str, Any] = diagnose_study(load_material(search, test_path=test)).json
+        material = load_material(search, test_path=test)
+        result: dict[str, Any] = (
+            stepwise_study(material) if method == STEPWISE else diagnose_study(material).json
+        )
     except Exception as error:  # noqa: BLE001 - whatever it is, the other trials go on and it is counted
         return {
             "schema": SCHEMA,

@@ -9,50 +9,50 @@ from pathlib import Path
 
 from labhil.campaign.trials.answer import Answer, TrueEffect
 from labhil.campaign.trials.card import Card, count
-from labhil.campaign.trials.folder import (
-    HASHES,
-    RESULTS,
-    Listed,
-    read_hashes,
-    read_index,
-    recording,
-)
+from labhil.campaign.trials.folder import DIAGNOSE, METHODS, Listed, Results, read_index, recording
 from labhil.campaign.trials.judge import NULL_GAIN, Judged, judge
 from labhil.campaign.trials.oracle import Oracle
 from labhil.campaign.trials.regime import overlap
 from labhil.campaign.trials.said import Said, read_said
 from labhil.campaign.trials.seal import open_envelope, sha256_of
-from labhil.errors import UsageError
+from labhil.errors import UnknownNameError, UsageError
 from labhil.report.material import load_material
 
 Progress = Callable[[str], None]
 
 
-def score_trials(folder: Path, answers: Path, progress: Progress) -> Card:
-    """Score the results in a folder; UsageError where anything is not what was hashed, or is missing."""
-    index = read_index(folder)
-    hashes = read_hashes(folder)
-    _check_results(folder, [listed.name for listed in index.trials], hashes)
+def score_trials(folder: Path, answers: Path, progress: Progress, method: str = DIAGNOSE) -> Card:
+    """Score a method's results in a folder.
+
+    UsageError where anything is not what was hashed, or is missing, UnknownNameError for a method that is
+    none.
+    """
+    if method not in METHODS:
+        raise UnknownNameError("--method", method, METHODS)
+    index, results = read_index(folder), Results(folder, method)
+    _check_results(results, [listed.name for listed in index.trials])
     truths = [_open(listed, answers) for listed in index.trials]
     for listed in index.trials:
         _check_recordings(folder, listed)
     judged: list[Judged] = []
     for answer in truths:
-        said = read_said(folder / RESULTS / f"{answer.trial}.json")
+        said = read_said(results.of(answer.trial))
         judged.append(_judge(folder, answer, said))
         progress(f"{len(judged)} of {len(truths)} trials scored")
     return count(judged, index.rig, index.fixed_seed)
 
 
-def _check_results(folder: Path, names: list[str], hashes: dict[str, str]) -> None:
+def _check_results(results: Results, names: list[str]) -> None:
+    hashes = results.read_hashes()
     missing = [name for name in names if name not in hashes]
     if missing:
+        how = "" if results.method == DIAGNOSE else f" --method {results.method}"
         raise UsageError(
-            f"{folder / HASHES}: expected results of {len(names)} trials, found {len(names) - len(missing)}: "
-            f"{', '.join(missing[:5])} to be diagnosed by `labhil trial run {folder}`"
+            f"{results.hashes}: expected results of {len(names)} trials, found {len(names) - len(missing)}: "
+            f"{', '.join(missing[:5])} to be diagnosed by `labhil trial run {results.folder}{how}`"
         )
     for name in names:
-        path = folder / RESULTS / f"{name}.json"
+        path = results.of(name)
         found = sha256_of(path)
         if found != hashes[name]:
             raise UsageError(
