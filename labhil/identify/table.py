@@ -19,9 +19,19 @@ from labhil.identify.intervals import (
 from labhil.identify.problem import Point
 from labhil.identify.shapes import POORLY_KNOWN
 from labhil.identify.statistics import inverse_information
+from labhil.physics.terms import Parameter
 from labhil.signals import FloatArray
 
 Interval = tuple[float, float]
+
+ORDERS = 100.0
+"""A size of the rig whose interval reaches this many times as far up as down is not determined."""
+
+FLAT = 10.0
+"""Nor is a value whose profile is this many times as wide as curvature says: it is flat.
+
+Practical non-identifiability: Raue and others, Bioinformatics 25, 2009.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +55,18 @@ def table_of(
     reach = simultaneous_quantile(robust) if simultaneous else quantile()
     ends = _intervals(fitted, method, robust, classical, jacobian, reach)
     rows = statistics.estimates(chosen, values, robust, classical, n, unknown, ends)
+    if method is not Intervals.WALD:
+        rows = [_judged(row, p, reach) for row, p in zip(rows, chosen, strict=True)]
     return ParameterTable(rows, robust, jacobian)
+
+
+def _judged(row: statistics.Estimate, parameter: Parameter, reach: float) -> statistics.Estimate:
+    """The row, not identifiable where its interval says so, whatever curvature said."""
+    low, high = row.ci99
+    size = parameter.term is None and parameter.lower > 0.0
+    if (size and high > ORDERS * low) or high - low > FLAT * 2.0 * reach * row.std_error:
+        return replace(row, identifiable=False, significant=False)
+    return row
 
 
 def _intervals(

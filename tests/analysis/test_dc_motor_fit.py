@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from labhil.campaign.benchmark.cases import CASES
+from labhil.campaign.benchmark.trial import run_trial
 from labhil.identify.fit import fit
 from labhil.identify.further_channels import with_help
 from labhil.physics.model import Record
@@ -58,3 +60,12 @@ def test_from_speed_alone_a_scale_is_unknown_and_the_current_would_tell():
     product = rows["inertia"].value * rows["resistance"].value
     assert 1e-3 < product < 1.0
     assert any("inertia" in text for text in judged.combinations)
+
+
+@pytest.mark.extended
+def test_a_size_whose_interval_spans_orders_is_not_called_known():
+    # coloured noise leads to a corner where curvature says each value is known to a half; profiles do not
+    trial = run_trial(CASES["dc_motor_speed_only"], 40, coloured=True)
+    for row in trial.rows:
+        assert row.low <= row.truth <= row.high
+        assert not row.identifiable
