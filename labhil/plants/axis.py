@@ -252,6 +252,11 @@ class AxisPlant:
         step = p.get("quantisation.step", 0.0)
         self._channels = {name: Channel(p, name, seed, step * (name == "position")) for name in SIGNALS}
 
+    @property
+    def time(self) -> float:
+        """Time since the plant began, s."""
+        return self.drive.time
+
     def step(self, force: float) -> Mapping[str, float]:
         """Hold ``force`` (N) for one sample period; return the signals at its end, measured."""
         seen = self._measure(self.drive.step(force), np.array([force]))

@@ -168,6 +168,11 @@ class DcMotorPlant:
         step = p.get("quantisation.step", 0.0)
         self._channels = {name: Channel(p, name, seed, step * (name == "speed")) for name in SIGNALS}
 
+    @property
+    def time(self) -> float:
+        """Time since the plant began, s."""
+        return self.drive.time
+
     def step(self, voltage: float) -> Mapping[str, float]:
         """Hold ``voltage`` (V) for one sample period; return the signals at its end, measured."""
         return {name: float(x[0]) for name, x in self.advance(np.array([voltage])).items()}

@@ -21,6 +21,11 @@ from labhil.signals import FloatArray
 class Plant(Protocol):
     """A simulated rig with one input; begins at rest."""
 
+    @property
+    def time(self) -> float:
+        """Time since the plant began, s."""
+        ...
+
     def step(self, value: float, /) -> Mapping[str, float]:
         """Let one sample period pass with this value of the input; return the signals at its end."""
         ...

@@ -200,6 +200,11 @@ class SolenoidPlant:
         }
         self._now, self._slope = 0.0, 0.0
 
+    @property
+    def time(self) -> float:
+        """Time since the plant began, s."""
+        return self.drive.time
+
     def step(self, current: float) -> Mapping[str, float]:
         """Bring the current straight to ``current`` (A) in one sample period; the signals at its end."""
         return {name: float(x[0]) for name, x in self.advance(np.array([current])).items()}

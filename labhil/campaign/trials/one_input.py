@@ -16,7 +16,6 @@ from labhil.errors import UsageError
 from labhil.kinds import KINDS
 from labhil.physics.model import Model, Record
 from labhil.physics.rigs import rig_model
-from labhil.plants.ball_beam_rig import BallBeamRig
 from labhil.plants.rigs import WORLDS, Plant, effects_of, plant_of
 from labhil.plants.world import World
 from labhil.signals import FloatArray, Hold, Signal
@@ -243,7 +242,7 @@ class OneInputSetup:
         for k in range(n + 1):
             sent[k] = law.command(float(excitation[k]), seen)
             rows.append(plant.step(float(sent[k])))
-            stamps[k] = _clock(plant)
+            stamps[k] = plant.time
             seen = rows[-1][bench.outputs[0]]
         source = KINDS[bench.kind].inputs[0]
         signals = {name: np.array([row[name] for row in rows[:-1]]) for name in rows[0]}
@@ -269,13 +268,6 @@ def _acting(sent: FloatArray, source: Signal) -> FloatArray:
 def _counts_samples(secret: Secret) -> bool:
     """Whether the plant cannot have uneven samples: a ball and beam with a delay counts them."""
     return secret.kind == "ball_beam" and "time_delay" in secret.terms
-
-
-def _clock(plant: Plant) -> float:
-    """The plant's own time, s."""
-    if isinstance(plant, BallBeamRig):
-        return plant.time
-    return float(plant.drive.time)  # type: ignore[attr-defined]
 
 
 def _candidates(model: Model, outside: bool, others: Sequence[str]) -> tuple[str, ...]:
