@@ -12,6 +12,7 @@ from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Container, Horizontal, Vertical, VerticalScroll
 from textual.widgets import Button, OptionList, ProgressBar, Static
+from textual.widgets.button import ButtonVariant
 from textual.widgets.option_list import Option
 
 from labhil.errors import LabhilError
@@ -23,7 +24,7 @@ from labhil.tui.runner import Runner
 from labhil.tui.shelf import ExperimentFile, experiments
 from labhil.tui.words import RUN_STATES, duration
 
-BUTTONS = (
+BUTTONS: tuple[tuple[str, str, ButtonVariant], ...] = (
     ("start", "Start ⏎", "success"),
     ("pause", "Pause p", "warning"),
     ("resume", "Resume r", "success"),
@@ -74,7 +75,7 @@ class ExperimentPane(Vertical):
             yield Static(id="run-elapsed")
         with Horizontal(id="run-buttons"):
             for name, label, variant in BUTTONS:
-                yield Button(label, id=f"run-{name}", variant=variant, compact=True)  # type: ignore[arg-type]
+                yield Button(label, id=f"run-{name}", variant=variant, compact=True)
             yield Static(id="run-reason")
         with VerticalScroll(id="run-log"):
             yield Static(id="run-log-lines")
