@@ -27,6 +27,9 @@ def add_trials(app: typer.Typer) -> None:
     trial.command("score", epilog="Example: labhil trial score trials trials-answers --json score.json")(
         trial_score
     )
+    trial.command("benchmark", epilog="Example: labhil trial benchmark axis --trials 300 -o axis-trials")(
+        trial_benchmark
+    )
     app.add_typer(trial, name="trial")
 
 
@@ -38,7 +41,9 @@ def trial_make(
     answers: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Where the answers go (default: DIR-answers).")
     ] = None,
-    effects: Annotated[str, typer.Option(help="0, 1, 2 or 3 concealed effects, hidden, or mixed.")] = "mixed",
+    effects: Annotated[
+        str, typer.Option(help="0, 1, 2 or 3 concealed effects, hidden, some, or mixed.")
+    ] = "mixed",
     seed: Annotated[
         int | None, typer.Option(help="For tests: the same trials again; default: the system's randomness.")
     ] = None,
@@ -46,7 +51,8 @@ def trial_make(
 ) -> None:
     """Draw rigs with concealed physics and record them; the answers are sealed in a folder elsewhere.
 
-    "hidden" draws an effect that stands in no list of names, "mixed" any sort, with nulls among them.
+    "hidden" draws an effect that stands in no list of names, "some" any sort with effects, "mixed" any sort
+    with nulls among them.
     """
     from labhil.campaign.trials.make import Order, answers_beside, make_trials
 
@@ -84,6 +90,7 @@ def trial_score(
     *,
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
     method: Annotated[str, typer.Option(help=METHOD)] = "diagnose",
+    jobs: Annotated[int | None, typer.Option(help="Processes (default: one a core).")] = None,
 ) -> None:
     """Open the envelopes and score what was said: detection, naming, false alarms, reliability, errors.
 
@@ -94,7 +101,31 @@ def trial_score(
 
     refuse_unwritable(json_path)
     with status() as say:
-        card = score_trials(folder, answers, say, method)
+        card = score_trials(folder, answers, say, method, jobs or _cores())
+    show(card, results_console())
+    if json_path is not None:
+        write_json(card.to_json(), json_path)
+
+
+def trial_benchmark(
+    rig: Annotated[str, typer.Argument(help="A kind of rig: ball_beam, dc_motor, axis, solenoid or ur5.")],
+    *,
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Where everything goes.")],
+    trials: Annotated[int, typer.Option(help="How many nulls, and how many trials with effects.")] = 300,
+    seed: Annotated[
+        int | None, typer.Option(help="For tests: the same trials again; default: the system's randomness.")
+    ] = None,
+    method: Annotated[str, typer.Option(help=METHOD)] = "diagnose",
+    jobs: Annotated[int | None, typer.Option(help="Processes (default: one a core).")] = None,
+    json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
+) -> None:
+    """Make, diagnose and score as many nulls as trials with effects; goes on where it was interrupted."""
+    from labhil.campaign.trials.benchmark import Plan, run_trial_benchmark
+    from labhil.campaign.trials.show import show
+
+    refuse_unwritable(json_path)
+    with status() as say:
+        card = run_trial_benchmark(Plan(rig, trials, out, seed, method, jobs or _cores()), say)
     show(card, results_console())
     if json_path is not None:
         write_json(card.to_json(), json_path)

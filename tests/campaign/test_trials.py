@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -139,6 +140,22 @@ def test_answers_within_reach_of_a_diagnosis_are_refused(tmp_path):
         make_trials(Order("axis", 1, "1", tmp_path / "a", tmp_path / "a" / "answers"), 1, silent)
 
 
+def test_making_goes_on_where_it_was_interrupted(tmp_path):
+    out, answers = tmp_path / "a", tmp_path / "b"
+    order = Order("axis", 1, "0", out, answers, 4, resume=True)
+    first = make_trials(order, 1, silent)
+    (out / "002").mkdir()
+    (out / "002" / "search.mcap.part").write_bytes(b"half")
+    both = make_trials(replace(order, trials=2), 1, silent)
+    assert [listed.name for listed in both.trials] == ["001", "002"]
+    assert both.trials[0] == first.trials[0]
+    assert not (out / "002" / "search.mcap.part").exists()
+    with pytest.raises(UsageError, match="found 2 of axis"):
+        make_trials(order, 1, silent)
+    with pytest.raises(UsageError, match="drawn from randomness"):
+        make_trials(replace(order, trials=2, seed=None), 1, silent)
+
+
 @pytest.fixture
 def listed_set(tmp_path):
     """A set of two trials whose recordings nobody reads, with their answers."""
@@ -206,6 +223,17 @@ def test_forward_steps_name_a_strong_effect_and_are_scored(tmp_path):
     card = score_trials(folder, order.answers, silent, "stepwise")
     assert (card.trials, card.failures) == (3, 0)
     assert sum(card.confusion.values()) >= 3
+
+
+@pytest.mark.extended
+def test_the_benchmark_counts_nulls_and_effects_together(tmp_path):
+    given = ["trial", "benchmark", "axis", "--trials", "1", "--seed", "3", "-o", str(tmp_path / "all")]
+    path = tmp_path / "score.json"
+    for _ in range(2):
+        done = CliRunner().invoke(app, [*given, "--json", str(path)])
+        assert done.exit_code == 0, done.output
+    score = json.loads(path.read_text())
+    assert (score["trials"], score["failures"], score["false_alarms"]["of"]) == (2, 0, 1)
 
 
 def test_a_changed_result_is_refused(listed_set, here):

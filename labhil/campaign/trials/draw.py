@@ -9,14 +9,20 @@ import numpy as np
 from labhil.errors import UsageError
 
 COUNTS: Mapping[str, tuple[int, ...]] = {"0": (0,), "1": (1,), "2": (2,), "3": (3,), "hidden": (1,)}
-MIXTURE = {"0": 0.25, "1": 0.35, "2": 0.2, "3": 0.08, "hidden": 0.12}
-"""How often each sort of trial is drawn where nobody asks for one sort."""
+MIXTURES: Mapping[str, Mapping[str, float]] = {
+    "mixed": {"0": 0.25, "1": 0.35, "2": 0.2, "3": 0.08, "hidden": 0.12},
+    "some": {"1": 0.48, "2": 0.24, "3": 0.12, "hidden": 0.16},
+}
+"""How often each sort of trial is drawn where nobody asks for one sort; "some" are all but nulls."""
+
+SORTS = (*COUNTS, *MIXTURES)
 
 
 def draw_sort(wanted: str, random: np.random.Generator) -> str:
     """One sort of trial: "0" to "3" effects of the catalogue, or "hidden"; UsageError for another word."""
-    if wanted == "mixed":
-        return str(random.choice(list(MIXTURE), p=list(MIXTURE.values())))
-    if wanted not in COUNTS:
-        raise UsageError(f"--effects: expected one of {', '.join(COUNTS)}, mixed; found {wanted!r}")
-    return wanted
+    if wanted not in SORTS:
+        raise UsageError(f"--effects: expected one of {', '.join(SORTS)}; found {wanted!r}")
+    if wanted in COUNTS:
+        return wanted
+    shares = MIXTURES[wanted]
+    return str(random.choice(list(shares), p=list(shares.values())))

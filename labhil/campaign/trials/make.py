@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Callable
+import shutil
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,8 +13,8 @@ import numpy as np
 
 from labhil.campaign.trials.bench import bench_of
 from labhil.campaign.trials.compose import Composed, answer_of, compose
-from labhil.campaign.trials.draw import COUNTS, draw_sort
-from labhil.campaign.trials.folder import INDEX, RIG, Index, Listed, recording
+from labhil.campaign.trials.draw import SORTS, draw_sort
+from labhil.campaign.trials.folder import INDEX, RIG, Index, Listed, read_index, recording
 from labhil.campaign.trials.seal import sha256_of, write_envelope
 from labhil.campaign.trials.secret import Bench, Walk
 from labhil.errors import UsageError
@@ -29,7 +30,8 @@ Progress = Callable[[str], None]
 class Order:
     """What is asked for: a kind of rig, how many trials of which sort, and where they go.
 
-    ``seed`` None draws from the system's randomness.
+    ``seed`` None draws from the system's randomness; with ``resume`` trials of the same order that are there
+    stay.
     """
 
     kind: str
@@ -38,6 +40,7 @@ class Order:
     out: Path
     answers: Path
     seed: int | None = None
+    resume: bool = False
 
 
 def answers_beside(folder: Path) -> Path:
@@ -56,22 +59,41 @@ def make_trials(order: Order, jobs: int, progress: Progress) -> Index:
     (order.out / RIG).write_text(bench.rig, encoding="utf-8")
     width = max(3, len(str(order.trials)))
     names = [f"{i:0{width}d}" for i in range(1, order.trials + 1)]
-    done: dict[str, Listed] = {}
+    done = _made(order, names)
     with ProcessPoolExecutor(jobs) as executor:
         futures = [
-            executor.submit(make_trial, order, name, _entropy(order.seed, i)) for i, name in enumerate(names)
+            executor.submit(make_trial, order, name, _entropy(order.seed, i))
+            for i, name in enumerate(names)
+            if name not in done
         ]
         try:
             for future in as_completed(futures):
                 listed = future.result()
                 done[listed.name] = listed
-                index = Index(order.kind, order.seed is not None, tuple(done[n] for n in names if n in done))
-                index.write(order.out)
+                listing = tuple(done[n] for n in names if n in done)
+                Index(order.kind, order.seed is not None, listing).write(order.out)
                 progress(f"{order.kind}: {len(done)} of {order.trials} trials made")
         except BaseException:
             executor.shutdown(cancel_futures=True)
             raise
-    return index
+    return read_index(order.out)
+
+
+def _made(order: Order, names: Sequence[str]) -> dict[str, Listed]:
+    """Trials that are there already; what an interruption left half is taken away."""
+    if not (order.resume and (order.out / INDEX).exists()):
+        return {}
+    index = read_index(order.out)
+    done = {listed.name: listed for listed in index.trials}
+    if (index.rig, index.fixed_seed) != (order.kind, order.seed is not None) or not set(done) <= set(names):
+        raise UsageError(
+            f"{order.out}: expected at most {order.trials} trials of {order.kind}, drawn from "
+            f"{'a fixed seed' if order.seed is not None else 'randomness'}, found {len(done)} of {index.rig}"
+        )
+    for name in names:
+        if name not in done:
+            shutil.rmtree(order.out / name, ignore_errors=True)
+    return done
 
 
 def make_trial(order: Order, name: str, entropy: tuple[int, ...]) -> Listed:
@@ -90,13 +112,13 @@ def _checked(order: Order, jobs: int) -> Bench:
         raise UsageError(f"--trials: expected at least 1, found {order.trials}")
     if jobs < 1:
         raise UsageError(f"--jobs: expected at least 1, found {jobs}")
-    if order.sort not in (*COUNTS, "mixed"):
-        raise UsageError(f"--effects: expected one of {', '.join(COUNTS)}, mixed; found {order.sort!r}")
+    if order.sort not in SORTS:
+        raise UsageError(f"--effects: expected one of {', '.join(SORTS)}; found {order.sort!r}")
     if order.answers.resolve().is_relative_to(order.out.resolve()):
         raise UsageError(
             f"--answers {order.answers}: expected a folder outside {order.out}, which a diagnosis may read"
         )
-    for folder in (order.out, order.answers):
+    for folder in () if order.resume else (order.out, order.answers):
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise UsageError(f"{folder}: expected a new or an empty folder, found {_in(folder)}")
     return bench_of(order.kind)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import repeat
 from pathlib import Path
 
 from labhil.campaign.trials.answer import Answer, TrueEffect
@@ -21,8 +23,18 @@ from labhil.report.material import load_material
 Progress = Callable[[str], None]
 
 
-def score_trials(folder: Path, answers: Path, progress: Progress, method: str = DIAGNOSE) -> Card:
-    """Score a method's results in a folder.
+def score_trials(
+    folder: Path, answers: Path, progress: Progress, method: str = DIAGNOSE, jobs: int = 1
+) -> Card:
+    """Score a method's results in a folder; see :func:`judge_trials`."""
+    index = read_index(folder)
+    return count(judge_trials(folder, answers, progress, method, jobs), index.rig, index.fixed_seed)
+
+
+def judge_trials(
+    folder: Path, answers: Path, progress: Progress, method: str = DIAGNOSE, jobs: int = 1
+) -> list[Judged]:
+    """Open the envelopes and judge a method's results in a folder, in ``jobs`` processes.
 
     UsageError where anything is not what was hashed, or is missing, UnknownNameError for a method that is
     none.
@@ -35,11 +47,11 @@ def score_trials(folder: Path, answers: Path, progress: Progress, method: str = 
     for listed in index.trials:
         _check_recordings(folder, listed)
     judged: list[Judged] = []
-    for answer in truths:
-        said = read_said(results.of(answer.trial))
-        judged.append(_judge(folder, answer, said))
-        progress(f"{len(judged)} of {len(truths)} trials scored")
-    return count(judged, index.rig, index.fixed_seed)
+    with ProcessPoolExecutor(jobs) as executor:
+        for one in executor.map(_judge, repeat(results), truths):
+            judged.append(one)
+            progress(f"{len(judged)} of {len(truths)} trials scored")
+    return judged
 
 
 def _check_results(results: Results, names: list[str]) -> None:
@@ -78,8 +90,9 @@ def _open(listed: Listed, answers: Path) -> Answer:
     return answer
 
 
-def _judge(folder: Path, answer: Answer, said: Said) -> Judged:
-    oracle = Bystander(folder, answer)
+def _judge(results: Results, answer: Answer) -> Judged:
+    said = read_said(results.of(answer.trial))
+    oracle = Bystander(results.folder, answer)
     return judge(answer, said, oracle.loss, oracle.overlap(said))
 
 

@@ -1,0 +1,56 @@
+"""``labhil trial benchmark``: as many nulls as trials with effects, made, diagnosed and scored in one go."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from labhil.campaign.trials.card import Card, count
+from labhil.campaign.trials.folder import DIAGNOSE
+from labhil.campaign.trials.judge import Judged
+from labhil.campaign.trials.make import Order, answers_beside, make_trials
+from labhil.campaign.trials.run import run_trials
+from labhil.campaign.trials.score import judge_trials
+
+SETS = {"nulls": "0", "effects": "some"}
+"""Folders of a benchmark with the sort of trials in each."""
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A benchmark of one rig: so many nulls and so many trials with effects, in folders below ``out``.
+
+    ``seed`` None draws from the system's randomness; ``method`` answers.
+    """
+
+    kind: str
+    trials: int
+    out: Path
+    seed: int | None = None
+    method: str = DIAGNOSE
+    jobs: int = 1
+
+
+def run_trial_benchmark(plan: Plan, progress: Progress) -> Card:
+    """Go on with a benchmark where it stands: recordings and answers are kept as soon as they are there.
+
+    Raises what making, running and scoring raise.
+    """
+    judged: list[Judged] = []
+    for number, (name, sort) in enumerate(SETS.items()):
+        folder = plan.out / name
+        seed = None if plan.seed is None else 2 * plan.seed + number
+        order = Order(plan.kind, plan.trials, sort, folder, answers_beside(folder), seed, resume=True)
+        say = partial(_tell, progress, name)
+        make_trials(order, plan.jobs, say)
+        run_trials(folder, plan.jobs, say, plan.method)
+        judged += judge_trials(folder, order.answers, say, plan.method, plan.jobs)
+    return count(judged, plan.kind, plan.seed is not None)
+
+
+def _tell(progress: Progress, name: str, text: str) -> None:
+    progress(f"{name}: {text}")
