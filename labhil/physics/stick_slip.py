@@ -8,8 +8,8 @@ solved for within a step, so nothing depends on how they fall between samples.
 Position and velocity are stepped by the classical Runge-Kutta method. The following quantity is solved
 exactly in each of its stages for a target that is a parabola through those known so far, so that its rate
 may be anything from zero to infinity. Where friction damps so fast that a part creeps at the velocity that
-balances its drive, the velocity follows that balance by an exponential step (the second-order exponential
-Rosenbrock method: Hochbruck and Ostermann, Acta Numerica 19, 2010, eq. 2.34, with the drive's slope), for
+balances its drive, the velocity follows that balance by an exponential step (the Rosenbrock-Euler method of
+Hochbruck and Ostermann, Exponential integrators, Acta Numerica 19, 2010, with the drive's slope), for
 explicit steps would have to be as short as the decay.
 """
 
