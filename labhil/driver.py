@@ -26,7 +26,8 @@ class DriverSpec:
     holds). A vector such as six joints is commanded by its columns, ``target_q_0``, ``target_q_1``, ….
     ``command_timeout`` (s of the device's clock) is how long the device itself waits for any valid
     message before it goes there on its own; ``longest_output`` (s of it) is how long it holds another
-    output without a break, infinite where nothing is declared.
+    output without a break, infinite where nothing is declared. ``ranges`` are the lowest and highest
+    values that it takes, by command, whatever a rig file allows.
 
     ``waypoint_rate`` (Hz) is for a :class:`TimedDriver`: how often it wants to be told where to be.
     ``approach`` names commands that have to stand where a run begins before the run's clock starts, and
@@ -43,6 +44,7 @@ class DriverSpec:
     command_timeout: float
     address_help: str
     longest_output: float = math.inf
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     waypoint_rate: float = 0.0
     approach: Mapping[str, float] = field(default_factory=dict)
     ready: Mapping[str, float] = field(default_factory=dict)

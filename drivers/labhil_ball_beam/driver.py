@@ -25,9 +25,9 @@ RIG = SerialRig(
         safe={SERVO.name: 0.0},
         command_timeout=0.3,
         address_help="/dev/ttyACM0, socket://host:port, rfc2217://host:port",
+        ranges={SERVO.name: (-LARGEST_ANGLE, LARGEST_ANGLE)},
     ),
     baud_rate=115200,
-    ranges={SERVO.name: (-LARGEST_ANGLE, LARGEST_ANGLE)},
 )
 
 

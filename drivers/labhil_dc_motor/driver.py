@@ -24,10 +24,10 @@ RIG = SerialRig(
         safe={VOLTAGE.name: 0.0},
         command_timeout=0.3,
         address_help="/dev/ttyACM0, /dev/ttyACM0@1000000 (baud), socket://host:port, rfc2217://host:port",
+        ranges={VOLTAGE.name: (-LARGEST_VOLTAGE, LARGEST_VOLTAGE)},
         longest_output=3600.0,
     ),
     baud_rate=500_000,
-    ranges={VOLTAGE.name: (-LARGEST_VOLTAGE, LARGEST_VOLTAGE)},
     optional=frozenset({ANGLE.name, TEMPERATURE.name}),
     counters=frozenset({ANGLE.name}),
 )

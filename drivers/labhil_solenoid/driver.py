@@ -26,10 +26,10 @@ RIG = SerialRig(
         safe={COMMAND.name: 0.0},
         command_timeout=0.3,
         address_help="/dev/ttyACM0, /dev/ttyACM0@2000000 (baud), socket://host:port, rfc2217://host:port",
+        ranges={COMMAND.name: (0.0, LARGEST_CURRENT)},
         longest_output=LONGEST_OUTPUT,
     ),
     baud_rate=500_000,
-    ranges={COMMAND.name: (0.0, LARGEST_CURRENT)},
     optional=frozenset({FORCE.name}),
 )
 

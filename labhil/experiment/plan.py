@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -140,6 +141,7 @@ def _step_plan(path: Path, timed: TimedStep, device: DevicePlan) -> StepPlan:
     before = np.vstack([safe, values[:-1]])
     lowest, highest = float(values.min()), float(values.max())
     fastest = float(np.max(np.abs(values - before))) * rate
+    _within_range(place, command, lowest, highest, device.spec)
     limit = device.rig.limits.get(step.signal) or device.rig.limits.get(_vector_of(step.signal))
     reach = (lowest, highest, fastest)
     warnings = () if limit is None else _against(place, step.signal, command.unit, reach, limit)
@@ -196,6 +198,16 @@ def _longest_away(values: FloatArray, safe: FloatArray) -> int:
     """How many samples in a row, at most, are not at the safe values."""
     at_rest = np.flatnonzero(np.all(values == safe, axis=1))
     return int(np.diff(np.concatenate([[-1], at_rest, [len(values)]])).max()) - 1
+
+
+def _within_range(place: str, command: Signal, lowest: float, highest: float, spec: DriverSpec) -> None:
+    """Refuse what the device would refuse, limits or none."""
+    low, high = spec.ranges.get(command.name, (-math.inf, math.inf))
+    if lowest < low or highest > high:
+        raise ExperimentFileError(
+            f"{place}: the excitation of {command.name} reaches from {lowest:.4g} to {highest:.4g} "
+            f"{command.unit}; {spec.name} takes {low:.4g} to {high:.4g} {command.unit}"
+        )
 
 
 def _against(

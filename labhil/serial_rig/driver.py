@@ -190,10 +190,10 @@ class SerialDriver:
             self._sender.send(MessageType.SET, SetCommand(raw).pack())
 
     def _check_command(self, name: str, value: float) -> None:
-        if name not in self.rig.ranges:
-            expected = ", ".join(repr(known) for known in self.rig.ranges)
+        if name not in self.spec.ranges:
+            expected = ", ".join(repr(known) for known in self.spec.ranges)
             raise CommandRefusedError(f"expected the command {expected}, found {name!r}")
-        low, high = self.rig.ranges[name]
+        low, high = self.spec.ranges[name]
         if not low <= value <= high:
             unit = next(signal.unit for signal in self.spec.commands if signal.name == name)
             raise CommandRefusedError(f"{name}: expected {low:g} … {high:g} {unit}, found {value:g}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,12 +22,11 @@ class SerialRig:
 
     ``spec.stream`` lists every channel that such a device may have, in the order of the wire, its
     commands last. Those in ``optional`` may be missing; those in ``counters`` wrap at 16 bits and are
-    unwrapped. ``ranges`` are what commands may be, SI, both ends included.
+    unwrapped.
     """
 
     spec: DriverSpec
     baud_rate: int
-    ranges: Mapping[str, tuple[float, float]]
     optional: frozenset[str] = frozenset()
     counters: frozenset[str] = frozenset()
 

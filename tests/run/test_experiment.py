@@ -152,6 +152,11 @@ def test_an_excitation_beyond_its_limits_is_refused(tmp_path: Path) -> None:
         plan_of(tmp_path, limits="[limits]\nservo_angle = { min = -1.0, max = 1.0 }\n")
 
 
+def test_an_excitation_beyond_what_the_device_takes_is_refused_without_limits_too(tmp_path: Path) -> None:
+    with pytest.raises(ExperimentFileError, match=r"steps\.0: .*; ball_beam takes -1\.571 to 1\.571 rad"):
+        plan_of(tmp_path, TEXT.replace("amplitude = 0.6", "amplitude = 1.6"))
+
+
 def test_an_excitation_that_is_too_fast_is_told(tmp_path: Path) -> None:
     told = plan_of(tmp_path, limits="[limits]\nservo_angle = { rate = 0.5 }\n")
     assert "slowed to its limit of 0.5 rad/s" in told
