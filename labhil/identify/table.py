@@ -33,6 +33,9 @@ FLAT = 10.0
 Practical non-identifiability: Raue and others, Bioinformatics 25, 2009.
 """
 
+TIED = 0.99
+"""Nor is one whose error goes with that of such a value, by this correlation."""
+
 
 @dataclass(frozen=True, slots=True)
 class ParameterTable:
@@ -56,17 +59,32 @@ def table_of(
     ends = _intervals(fitted, method, robust, classical, jacobian, reach)
     rows = statistics.estimates(chosen, values, robust, classical, n, unknown, ends)
     if method is not Intervals.WALD:
-        rows = [_judged(row, p, reach) for row, p in zip(rows, chosen, strict=True)]
+        rows = _without_the_open(rows, chosen, robust, reach)
     return ParameterTable(rows, robust, jacobian)
 
 
-def _judged(row: statistics.Estimate, parameter: Parameter, reach: float) -> statistics.Estimate:
-    """The row, not identifiable where its interval says so, whatever curvature said."""
+def _without_the_open(
+    rows: list[statistics.Estimate], parameters: list[Parameter], covariance: FloatArray, reach: float
+) -> list[statistics.Estimate]:
+    """Rows whose intervals say that a value is not determined say so, and those that are tied to them."""
+    open_ended = np.array([_is_open(row, p, reach) for row, p in zip(rows, parameters, strict=True)])
+    errors = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    seen = np.isfinite(errors)
+    tied = np.zeros((len(rows), len(rows)), dtype=bool)
+    both = np.ix_(seen, seen)
+    tied[both] = np.abs(covariance[both] / np.outer(errors[seen], errors[seen])) > TIED
+    lost = open_ended | (tied & open_ended).any(axis=1)
+    return [
+        replace(row, identifiable=False, significant=False) if gone else row
+        for row, gone in zip(rows, lost, strict=True)
+    ]
+
+
+def _is_open(row: statistics.Estimate, parameter: Parameter, reach: float) -> bool:
+    """Whether the interval spans orders of magnitude, or far more than curvature says."""
     low, high = row.ci99
     size = parameter.term is None and parameter.lower > 0.0
-    if (size and high > ORDERS * low) or high - low > FLAT * 2.0 * reach * row.std_error:
-        return replace(row, identifiable=False, significant=False)
-    return row
+    return (size and high > ORDERS * low) or high - low > FLAT * 2.0 * reach * row.std_error
 
 
 def _intervals(
