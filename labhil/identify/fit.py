@@ -10,7 +10,7 @@ import numpy as np
 
 from labhil.errors import UnknownNameError, UsageError
 from labhil.identify import statistics
-from labhil.identify.estimators import DEFAULT, search
+from labhil.identify.estimators import DEFAULT, INTERRUPTED, search
 from labhil.identify.fitted import (
     Fitted,
     climb,
@@ -40,6 +40,12 @@ LONGER = 2.0
 
 EXPLAINED = 1.1
 """Residuals of a searched fit, in units of noise, below which no other start could do notably better."""
+
+SEARCHES = 4
+"""Searches from other seeds, at most, where residuals stay above that: one may end in a wrong valley."""
+
+CONFIRMED = 1.02
+"""Two searches whose residuals differ by less than this factor found the same valley."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,12 +232,9 @@ def _first_rung(
         return fit_terms(model, record, terms, lengths[0], sigma, start=begin, new_terms=fresh)
     windows = fit_windows(record, lengths[-1] if model.forgets else lengths[0])
     problem = Problem(model, record, windows, free_of(model, terms), begin, sigma)
-    how.progress(f"searching by {how.estimator}")
-    found = search(problem, how.estimator, seed=how.seed, progress=how.progress)
     # widths are hardly known on short windows; they are scanned afterwards
     begun = partial(fit_terms, model, record, terms, lengths[0], sigma, shapes=False)
-    # a scout tells whether the search ended in the right valley, before long work is spent there
-    scout = begun(start=found.theta, new_terms=(), hopeless=0.0)
+    scout = _scouted(problem, begun, how)
     if how.estimator == DEFAULT and scout.noise >= EXPLAINED:
         own = begun(start=begin, new_terms=fresh, hopeless=scout.solution.cost)
         if own.solution.cost < scout.solution.cost:
@@ -239,6 +242,24 @@ def _first_rung(
     searched = begun(start=scout.theta, states=scout.solution.point.states, new_terms=())
     searched.problem.evaluations += problem.evaluations + scout.problem.evaluations
     return searched
+
+
+def _scouted(problem: Problem, begun: Callable[..., Fitted], how: Options) -> Fitted:
+    """A short fit from where a search ended.
+
+    It tells whether that was the right valley, before long work is spent there. The default searches again
+    until it found the best valley twice, or one that leaves nothing but noise.
+    """
+    scouts: list[Fitted] = []
+    for again in range(SEARCHES if how.estimator == DEFAULT else 1):
+        how.progress(f"searching by {how.estimator}" + (", another seed" if again else ""))
+        found = search(problem, how.estimator, seed=how.seed + again, progress=how.progress)
+        scouts.append(begun(start=found.theta, new_terms=(), hopeless=0.0))
+        least = sorted(scout.noise for scout in scouts)
+        agreed = again and least[1] < CONFIRMED * least[0]
+        if least[0] < EXPLAINED or agreed or found.found.stopped_because == INTERRUPTED:
+            break
+    return min(scouts, key=lambda scout: scout.solution.cost)
 
 
 def _window_estimate(fitted: Fitted, length: float) -> WindowEstimate:

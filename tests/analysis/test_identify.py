@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 from statsmodels.regression.linear_model import OLS
 
+from labhil.campaign.benchmark.cases import CASES
+from labhil.campaign.benchmark.trial import run_trial
 from labhil.errors import RecordingError
 from labhil.identify import statistics
 from labhil.identify.fit import Options, fit
@@ -200,3 +202,11 @@ def test_the_true_model_scores_at_its_noise_floor(model, acquire):
     marks = score(model, start_theta(model, TRUTH), record, noise_of(record))
     assert 0.9 < marks.rmse / marks.noise_floor < 1.2
     assert marks.horizon == 4.0
+
+
+@pytest.mark.extended
+def test_a_search_that_ends_in_a_wrong_valley_is_made_again():
+    # by the first seed alone: a mass of 0.5 g where there are 64, and residuals of 2.7 times the noise
+    trial = run_trial(CASES["solenoid"], 7, coloured=False)
+    assert trial.residual < 1.1
+    assert trial.r2_truth - trial.r2 < 1e-3
