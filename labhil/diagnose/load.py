@@ -94,7 +94,8 @@ def load_in(model: Loadable, fitted: Fitted, accepted: Accepted) -> Load | None:
     before, after = float(np.sum(left(np.zeros(4)) ** 2)), 2.0 * float(end.cost)
     # what a point does not explain of the changes says how far their errors are to be trusted
     trust = max(after / max(len(keys) - len(KEYS), 1), 1.0)
-    errors = np.sqrt(trust * np.diag(np.linalg.pinv(end.jac.T @ end.jac)))
+    # without a mass its centre changes nothing, and rounding may take a variance of zero below that
+    errors = np.sqrt(trust * np.maximum(np.diag(np.linalg.pinv(end.jac.T @ end.jac)), 0.0))
     certain = end.x[0] > CERTAIN * errors[0] and after < (1.0 - EXPLAINED) * before
     return Load(np.asarray(end.x), errors) if certain else None
 
