@@ -63,14 +63,11 @@ def diagnose(
     there faults of the data are looked for.
     """
     began = time.perf_counter()
-    searched, held_out = told_apart(model, searched), told_apart(model, held_out)
-    sigma = noise_of(searched)
-    window = SEARCH_WINDOW_IN_HORIZONS * model.horizon
-    begin = start_theta(model, reference)
-    data = Data(model, searched, held_out, sigma, noise_of(held_out), window, begin)
+    data = data_of(model, searched, held_out, reference)
+    searched, held_out, sigma = data.search, data.test, data.sigma
     progress(f"fitting the baseline: {', '.join(baseline)}")
     terms = [term.key for term in terms_named(model, baseline)]
-    base = _fit_baseline(data, terms)
+    base = fit_baseline(data, terms)
     data, base = _with_lasting_noise(data, base)
     whole = searched if measured is None else measured
     faults = faults_of(whole)
@@ -85,7 +82,7 @@ def diagnose(
     if sizes:
         progress("the same with the sizes of the given model held")
         held = replace(data, held=sizes)
-        found = _simpler(found, search(held, _fit_baseline(held, terms), progress))
+        found = _simpler(found, search(held, fit_baseline(held, terms), progress))
     progress("scores, intervals and exclusion limits")
     base = found.baseline
     # the same windows and the same noise before and after
@@ -168,7 +165,16 @@ def _accepted(model: Model, found: Found, beyond: Unmodelled | None) -> tuple[Mo
     return (model, found.final.theta) if beyond is None else (beyond.model, beyond.fit.theta)
 
 
-def _fit_baseline(data: Data, terms: Sequence[str]) -> Fitted:
+def data_of(
+    model: Model, searched: Record, held_out: Record, reference: Mapping[str, float] | None = None
+) -> Data:
+    """What a search works on, its fits begun at ``reference`` where there is one."""
+    searched, held_out = told_apart(model, searched), told_apart(model, held_out)
+    window, begin = SEARCH_WINDOW_IN_HORIZONS * model.horizon, start_theta(model, reference)
+    return Data(model, searched, held_out, noise_of(searched), noise_of(held_out), window, begin)
+
+
+def fit_baseline(data: Data, terms: Sequence[str]) -> Fitted:
     """The baseline on the windows of the search, by way of shorter ones."""
     lengths = [FIRST_WINDOW_IN_HORIZONS * data.model.horizon, data.window]
     model, record, sigma, begin = data.model, data.search, data.sigma, data.begin
@@ -182,7 +188,7 @@ def _with_lasting_noise(data: Data, base: Fitted) -> tuple[Data, Fitted]:
     if np.all((seen < LASTS * data.sigma) & (LASTS * seen > data.sigma)):
         return replace(data, test_sigma=tested), base
     data = replace(data, sigma=seen, test_sigma=tested)
-    return data, _fit_baseline(replace(data, begin=base.theta), base.terms)
+    return data, fit_baseline(replace(data, begin=base.theta), base.terms)
 
 
 def _sizes(model: Model, reference: Mapping[str, float]) -> frozenset[str]:

@@ -204,10 +204,18 @@ def _within_range(place: str, command: Signal, lowest: float, highest: float, sp
     """Refuse what the device would refuse, limits or none."""
     low, high = spec.ranges.get(command.name, (-math.inf, math.inf))
     if lowest < low or highest > high:
-        raise ExperimentFileError(
-            f"{place}: the excitation of {command.name} reaches from {lowest:.4g} to {highest:.4g} "
-            f"{command.unit}; {spec.name} takes {low:.4g} to {high:.4g} {command.unit}"
-        )
+        allowed = f"{spec.name} takes {low:.4g} to {high:.4g} {command.unit}"
+        raise _too_far(place, command.name, command.unit, (lowest, highest), allowed)
+
+
+def _too_far(
+    place: str, signal: str, unit: str, reach: tuple[float, float], allowed: str
+) -> ExperimentFileError:
+    """The refusal of an excitation, with what is allowed."""
+    lowest, highest = reach
+    return ExperimentFileError(
+        f"{place}: the excitation of {signal} reaches from {lowest:.4g} to {highest:.4g} {unit}; {allowed}"
+    )
 
 
 def _against(
@@ -216,10 +224,8 @@ def _against(
     """Refuse what lies beyond min and max; what is too fast is slowed, which is worth a warning."""
     lowest, highest, fastest = reach
     if lowest < limit.min or highest > limit.max:
-        raise ExperimentFileError(
-            f"{place}: the excitation of {signal} reaches from {lowest:.4g} to {highest:.4g} {unit}; "
-            f"its limits are {limit.min:g} to {limit.max:g} {unit}"
-        )
+        allowed = f"its limits are {limit.min:g} to {limit.max:g} {unit}"
+        raise _too_far(place, signal, unit, (lowest, highest), allowed)
     if fastest > limit.rate:
         return (
             f"{place}: {signal} changes by up to {fastest:.4g} {unit}/s and will be slowed to its "

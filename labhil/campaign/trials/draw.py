@@ -18,10 +18,15 @@ MIXTURES: Mapping[str, Mapping[str, float]] = {
 SORTS = (*COUNTS, *MIXTURES)
 
 
-def draw_sort(wanted: str, random: np.random.Generator) -> str:
-    """One sort of trial: "0" to "3" effects of the catalogue, or "hidden"; UsageError for another word."""
+def refuse_unknown_sort(wanted: str) -> None:
+    """UsageError for a word that is no sort of trial."""
     if wanted not in SORTS:
         raise UsageError(f"--effects: expected one of {', '.join(SORTS)}; found {wanted!r}")
+
+
+def draw_sort(wanted: str, random: np.random.Generator) -> str:
+    """One sort of trial: "0" to "3" effects of the catalogue, or "hidden"; UsageError for another word."""
+    refuse_unknown_sort(wanted)
     if wanted in COUNTS:
         return wanted
     shares = MIXTURES[wanted]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from labhil.errors import UsageError
+from labhil.errors import UnknownNameError, UsageError
 
 SCHEMA = "labhil.trials/1"
 INDEX = "trials.json"
@@ -85,10 +85,17 @@ def replace_text(path: Path, text: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Results:
-    """Where the answers of one method stand in a folder of trials, and their hashes."""
+    """Where the answers of one method stand in a folder of trials, and their hashes.
+
+    Raises UnknownNameError for a method that is none.
+    """
 
     folder: Path
     method: str = DIAGNOSE
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise UnknownNameError("--method", self.method, METHODS)
 
     @property
     def name(self) -> str:

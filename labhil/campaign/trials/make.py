@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import secrets
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +13,7 @@ import numpy as np
 
 from labhil.campaign.trials.bench import bench_of
 from labhil.campaign.trials.compose import Composed, answer_of, compose
-from labhil.campaign.trials.draw import SORTS, draw_sort
+from labhil.campaign.trials.draw import draw_sort, refuse_unknown_sort
 from labhil.campaign.trials.folder import INDEX, RIG, Index, Listed, read_index, recording
 from labhil.campaign.trials.seal import sha256_of, write_envelope
 from labhil.campaign.trials.secret import Bench, Walk
@@ -70,13 +70,17 @@ def make_trials(order: Order, jobs: int, progress: Progress) -> Index:
             for future in as_completed(futures):
                 listed = future.result()
                 done[listed.name] = listed
-                listing = tuple(done[n] for n in names if n in done)
-                Index(order.kind, order.seed is not None, listing).write(order.out)
+                _index(order, names, done).write(order.out)
                 progress(f"{order.kind}: {len(done)} of {order.trials} trials made")
         except BaseException:
             executor.shutdown(cancel_futures=True)
             raise
-    return read_index(order.out)
+    return _index(order, names, done)
+
+
+def _index(order: Order, names: Sequence[str], done: Mapping[str, Listed]) -> Index:
+    """The trials that are there, in the order of their names."""
+    return Index(order.kind, order.seed is not None, tuple(done[name] for name in names if name in done))
 
 
 def _made(order: Order, names: Sequence[str]) -> dict[str, Listed]:
@@ -112,8 +116,7 @@ def _checked(order: Order, jobs: int) -> Bench:
         raise UsageError(f"--trials: expected at least 1, found {order.trials}")
     if jobs < 1:
         raise UsageError(f"--jobs: expected at least 1, found {jobs}")
-    if order.sort not in SORTS:
-        raise UsageError(f"--effects: expected one of {', '.join(SORTS)}; found {order.sort!r}")
+    refuse_unknown_sort(order.sort)
     if order.answers.resolve().is_relative_to(order.out.resolve()):
         raise UsageError(
             f"--answers {order.answers}: expected a folder outside {order.out}, which a diagnosis may read"

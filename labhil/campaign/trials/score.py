@@ -11,13 +11,13 @@ from pathlib import Path
 
 from labhil.campaign.trials.answer import Answer, TrueEffect
 from labhil.campaign.trials.card import Card, count
-from labhil.campaign.trials.folder import DIAGNOSE, METHODS, Listed, Results, read_index, recording
+from labhil.campaign.trials.folder import DIAGNOSE, Listed, Results, read_index, recording
 from labhil.campaign.trials.judge import NULL_GAIN, Judged, judge
 from labhil.campaign.trials.oracle import Oracle
 from labhil.campaign.trials.regime import overlap
 from labhil.campaign.trials.said import Said, read_said
 from labhil.campaign.trials.seal import open_envelope, sha256_of
-from labhil.errors import UnknownNameError, UsageError
+from labhil.errors import UsageError
 from labhil.report.material import load_material
 
 Progress = Callable[[str], None]
@@ -39,8 +39,6 @@ def judge_trials(
     UsageError where anything is not what was hashed, or is missing, UnknownNameError for a method that is
     none.
     """
-    if method not in METHODS:
-        raise UnknownNameError("--method", method, METHODS)
     index, results = read_index(folder), Results(folder, method)
     _check_results(results, [listed.name for listed in index.trials])
     truths = [_open(listed, answers) for listed in index.trials]

@@ -15,14 +15,13 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from labhil.diagnose.diagnosis import FIRST_WINDOW_IN_HORIZONS, SEARCH_WINDOW_IN_HORIZONS
+from labhil.diagnose.diagnosis import data_of, fit_baseline
 from labhil.diagnose.judge import Data
 from labhil.diagnose.refit import refit
 from labhil.diagnose.screen import Screen, candidates
-from labhil.identify.fitted import Fitted, climb, start_theta
+from labhil.identify.fitted import Fitted
 from labhil.identify.score import score
 from labhil.identify.table import table_of
-from labhil.identify.windows import noise_of, told_apart
 from labhil.physics.rigs import rig_model
 from labhil.physics.terms import unkeyed
 from labhil.report.material import Material
@@ -41,17 +40,12 @@ def stepwise_study(material: Material) -> dict[str, Any]:
     """What the method says of a trial, as JSON data in the form of a diagnosis, as far as it goes."""
     began = time.perf_counter()
     model = material.model
-    searched, held_out = told_apart(model, material.learn), told_apart(model, material.judge)
-    window = SEARCH_WINDOW_IN_HORIZONS * model.horizon
-    sigma, begin = noise_of(searched), start_theta(model)
-    data = Data(model, searched, held_out, sigma, noise_of(held_out), window, begin)
-    terms = rig_model(model.kind).baseline
-    lengths = [FIRST_WINDOW_IN_HORIZONS * model.horizon, window]
-    baseline = climb(model, searched, terms, lengths, sigma, start=begin, fresh=terms)[-1]
+    data = data_of(model, material.learn, material.judge)
+    baseline = fit_baseline(data, rig_model(model.kind).baseline)
     final = selected(data, baseline)
     added = [key for key in final.terms if key not in baseline.terms]
     horizon = model.horizon_at(final.theta)
-    before, after = (score(model, f.theta, held_out, data.test_sigma, horizon) for f in (baseline, final))
+    before, after = (score(model, f.theta, data.test, data.test_sigma, horizon) for f in (baseline, final))
     return {
         "schema": "labhil.diagnosis/1",
         "verdict": "missing_physics" if added else "no_mismatch",
