@@ -1,6 +1,6 @@
 """A force that no named term describes, beside a kernel's laws: a curve along the motion or a course.
 
-:func:`with_extra` makes of the laws of any moving part (see ``physics.stick_slip``) those of the same part
+:func:`with_extra` makes of the laws of any moving part (see ``physics.moving_part``) those of the same part
 under one more force, so a kernel without it stays what it is. A curve is a table over the part's own
 position or velocity while it is simulated, never over the measured ones: a force that knew the measurement
 would pull the simulation towards it (a stiff spring to the measured place explains any record).
@@ -17,7 +17,7 @@ import numpy as np
 
 from labhil.compiled import inlined, specialised
 from labhil.physics.model import Model, Record
-from labhil.physics.stick_slip import TINY, Course, Follows, Laws, Motion, Part
+from labhil.physics.moving_part import TINY, Course, Follows, Laws, Motion, Part
 from labhil.signals import FloatArray
 
 

@@ -13,7 +13,8 @@ import numpy as np
 from labhil.compiled import inlined
 from labhil.physics.extra_force import Beyond, Pushed, PushedCourse, with_extra
 from labhil.physics.friction import RESOLVED, Law, damping, friction, hold, law_of, pace, thinned
-from labhil.physics.stick_slip import TINY, Follows, Laws, Motion, Stops, integrator
+from labhil.physics.moving_part import TINY, Follows, Laws, Motion, Stops
+from labhil.physics.stick_slip import integrator
 from labhil.signals import FloatArray, IntArray
 
 POWERS = 4

@@ -14,7 +14,8 @@ import numpy as np
 from labhil.compiled import inlined
 from labhil.physics.extra_force import Beyond, Pushed, PushedCourse, with_extra
 from labhil.physics.friction import RESOLVED, Law, damping, friction, hold, law_of, pace, thinned
-from labhil.physics.stick_slip import FINEST, NO_STOPS, TINY, Follows, Laws, Motion, integrator
+from labhil.physics.moving_part import NO_STOPS, TINY, Follows, Laws, Motion
+from labhil.physics.stick_slip import FINEST, integrator
 from labhil.signals import FloatArray, IntArray
 
 FIRST_SHARE = 0.5
