@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from labhil.console import refuse_unwritable, results_console, status, write_json
+
+if TYPE_CHECKING:
+    from labhil.campaign.trials.card import Card
 
 METHOD = "diagnose, or stepwise: forward steps by the extended BIC, to compare with."
 
@@ -89,6 +92,7 @@ def trial_score(
     answers: Annotated[Path, typer.Argument(metavar="ANSWERS", help="The folder of its answers.")],
     *,
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
+    plot_path: Annotated[Path | None, typer.Option("--plot", help="Draw the result here (PNG).")] = None,
     method: Annotated[str, typer.Option(help=METHOD)] = "diagnose",
     jobs: Annotated[int | None, typer.Option(help="Processes (default: one a core).")] = None,
 ) -> None:
@@ -97,14 +101,11 @@ def trial_score(
     Results, recordings or answers that are not the ones that were hashed are refused.
     """
     from labhil.campaign.trials.score import score_trials
-    from labhil.campaign.trials.show import show
 
-    refuse_unwritable(json_path)
+    refuse_unwritable(json_path, plot_path)
     with status() as say:
         card = score_trials(folder, answers, say, method, jobs or _cores())
-    show(card, results_console())
-    if json_path is not None:
-        write_json(card.to_json(), json_path)
+    _tell(card, json_path, plot_path)
 
 
 def trial_benchmark(
@@ -118,17 +119,28 @@ def trial_benchmark(
     method: Annotated[str, typer.Option(help=METHOD)] = "diagnose",
     jobs: Annotated[int | None, typer.Option(help="Processes (default: one a core).")] = None,
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
+    plot_path: Annotated[Path | None, typer.Option("--plot", help="Draw the result here (PNG).")] = None,
 ) -> None:
     """Make, diagnose and score as many nulls as trials with effects; goes on where it was interrupted."""
     from labhil.campaign.trials.benchmark import Plan, run_trial_benchmark
-    from labhil.campaign.trials.show import show
 
-    refuse_unwritable(json_path)
+    refuse_unwritable(json_path, plot_path)
     with status() as say:
         card = run_trial_benchmark(Plan(rig, trials, out, seed, method, jobs or _cores()), say)
+    _tell(card, json_path, plot_path)
+
+
+def _tell(card: Card, json_path: Path | None, plot_path: Path | None) -> None:
+    """Print a score card, and write and draw it where that was asked for."""
+    from labhil.campaign.trials.show import show
+
     show(card, results_console())
     if json_path is not None:
         write_json(card.to_json(), json_path)
+    if plot_path is not None:
+        from labhil.campaign.trials.plot import plot
+
+        plot(card, plot_path)
 
 
 def _cores() -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -48,7 +48,8 @@ def run_trial_benchmark(plan: Plan, progress: Progress) -> Card:
         say = partial(_tell, progress, name)
         make_trials(order, plan.jobs, say)
         run_trials(folder, plan.jobs, say, plan.method)
-        judged += judge_trials(folder, order.answers, say, plan.method, plan.jobs)
+        found = judge_trials(folder, order.answers, say, plan.method, plan.jobs)
+        judged += [replace(one, trial=f"{name}/{one.trial}") for one in found]
     return count(judged, plan.kind, plan.seed is not None)
 
 

@@ -37,9 +37,10 @@ class Card:
 
     ``naming`` maps the number of effects (and "outside the catalogue") and a grade of strength to the
     share of exact answers; ``detection`` maps a range of the strongest effect's strength to the share
-    detected; ``confusion`` counts pairs of true and named term; ``joints`` is the share of effects in a joint
-    that were looked for there, of those that were found at all. ``after_over_floor`` are median and 90th
-    percentile of RMSE after over the noise floor, None without any.
+    detected, ``named`` to the share of exact answers to one effect; ``undecided`` is the share of "cannot
+    tell" where an oracle can; ``confusion`` counts pairs of true and named term; ``joints`` is the share of
+    effects in a joint that were looked for there, of those that were found at all. ``after_over_floor`` are
+    median and 90th percentile of RMSE after over the noise floor, None without any; ``each`` are the trials.
     """
 
     rig: str
@@ -48,6 +49,8 @@ class Card:
     failures: int
     false_alarms: Share
     detection: Mapping[str, Share]
+    named: Mapping[str, Share]
+    undecided: Share
     naming: Mapping[str, Mapping[str, Share]]
     single: Share
     confusion: Mapping[tuple[str, str], int]
@@ -60,6 +63,7 @@ class Card:
     covered: Share
     covered_apart: Share
     seconds: float
+    each: tuple[Judged, ...]
 
     def to_json(self) -> dict[str, Any]:
         """As plain JSON data."""
@@ -71,6 +75,8 @@ class Card:
             "failures": self.failures,
             "false_alarms": self.false_alarms.to_json(),
             "detection": {name: share.to_json() for name, share in self.detection.items()},
+            "exact_by_strength": {name: share.to_json() for name, share in self.named.items()},
+            "not_decidable": self.undecided.to_json(),
             "naming": {
                 name: {grade: share.to_json() for grade, share in grades.items()}
                 for name, grades in self.naming.items()
@@ -94,7 +100,22 @@ class Card:
             "interval_coverage": self.covered.to_json(),
             "interval_coverage_other": self.covered_apart.to_json(),
             "seconds_median": self.seconds,
+            "each": [_each(judged) for judged in self.each],
         }
+
+
+def _each(judged: Judged) -> dict[str, Any]:
+    """One trial as a line of a table."""
+    return {
+        "trial": judged.trial,
+        "verdict": judged.verdict,
+        "effects": [[e.key, round(e.strength, 3), round(e.oracle_gain, 1)] for e in judged.real],
+        "named": [list(pair) for pair in judged.confused],
+        "exact": judged.exact,
+        "claims": [[round(stated, 4), right] for stated, right in judged.claims],
+        "after_over_floor": judged.after_over_floor,
+        "seconds": round(judged.seconds, 2),
+    }
 
 
 def count(judged: Sequence[Judged], rig: str, fixed_seed: bool) -> Card:
@@ -111,7 +132,9 @@ def count(judged: Sequence[Judged], rig: str, fixed_seed: bool) -> Card:
         trials=len(judged),
         failures=sum(j.verdict is None for j in judged),
         false_alarms=Share(sum(j.verdict != "no_mismatch" for j in nulls), len(nulls)),
-        detection=_detection(judged),
+        detection=_by_strength([(j.strongest, j.detected) for j in judged if j.strongest is not None]),
+        named=_by_strength([(j.sure[0].strength, j.exact) for j in told if len(j.sure) == 1]),
+        undecided=Share(sum(j.verdict == "not_decidable" for j in told), len(told)),
         naming=_naming(told),
         single=Share(sum(j.single for j in told), len(told)),
         confusion=Counter(pair for j in judged for pair in j.confused),
@@ -124,6 +147,7 @@ def count(judged: Sequence[Judged], rig: str, fixed_seed: bool) -> Card:
         covered=_share([c for j in judged if j.complete for c in j.covered]),
         covered_apart=_share([c for j in judged if not j.complete for c in j.covered]),
         seconds=float(np.median([j.seconds for j in judged])) if judged else 0.0,
+        each=tuple(judged),
     )
 
 
@@ -146,12 +170,12 @@ def _calibration_error(bins: Sequence[Reliability]) -> float | None:
     return sum(b.right.of * abs(b.stated - b.right.value) for b in bins) / total
 
 
-def _detection(judged: Sequence[Judged]) -> dict[str, Share]:
-    shares = {}
-    for low, high in pairwise(STRENGTH_BINS):
-        inside = [j.detected for j in judged if j.strongest is not None and low <= j.strongest < high]
-        shares[f"{low:g} to {high:g}"] = _share(inside)
-    return shares
+def _by_strength(hits: Sequence[tuple[float, bool]]) -> dict[str, Share]:
+    """Strengths with what is counted, in ranges."""
+    return {
+        f"{low:g} to {high:g}": _share([hit for strength, hit in hits if low <= strength < high])
+        for low, high in pairwise(STRENGTH_BINS)
+    }
 
 
 def _naming(told: Sequence[Judged]) -> dict[str, dict[str, Share]]:

@@ -29,17 +29,19 @@ Loss = Callable[[TrueEffect, str], float]
 class Judged:
     """What counts of one trial.
 
-    ``sure`` effects have to be found (10 nats or more); ``exact`` says that they were named and nothing
-    else was, ``single`` that no name of the answer had a rival beside it. ``confused`` holds pairs of true
-    and named terms, ``claims`` pairs of a stated probability and whether it was right, ``covered`` for each
-    interval whether it holds the truth, ``complete`` whether the final model holds every listed effect.
-    ``modelled`` and ``after_over_floor`` are None where there is nothing to compare. ``joints`` tells of each
-    effect that has to be found and is in a joint whether anything was said to be in that joint.
+    ``real`` effects make a difference, ``sure`` ones have to be found (10 nats or more); ``exact`` says that
+    they were named and nothing else was, ``single`` that no name of the answer had a rival beside it.
+    ``confused`` holds pairs of true and named terms, ``claims`` pairs of a stated probability and whether it
+    was right, ``covered`` for each interval whether it holds the truth, ``complete`` whether the final model
+    holds every listed effect. ``modelled`` and ``after_over_floor`` are None where there is nothing
+    to compare. ``joints`` tells of each effect that has to be found and is in a joint whether anything was
+    said to be in that joint.
     """
 
     trial: str
     verdict: str | None
     null: bool
+    real: tuple[TrueEffect, ...]
     sure: tuple[TrueEffect, ...]
     strongest: float | None
     detected: bool
@@ -87,6 +89,7 @@ def judge(answer: Answer, said: Said, loss: Loss, overlap: float | None = None) 
         trial=answer.trial,
         verdict=said.verdict,
         null=not real,
+        real=tuple(real),
         sure=tuple(sure),
         strongest=max((effect.strength for effect in real), default=None),
         detected=said.verdict in {"missing_physics", "unexplained_mismatch"},

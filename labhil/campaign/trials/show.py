@@ -31,6 +31,7 @@ def lines(card: Card) -> list[str]:
     return [
         f"False alarms on nulls: {card.false_alarms}",
         f"Single answers, right and alone: {card.single}",
+        f"Left undecided where an oracle decides: {card.undecided}",
         f"Calibration error of stated probabilities: {calibration}",
         f"Modelled (80 % of the excess gone): {card.modelled}",
         f"Regime right (intersection over union at least a half): {card.overlap}",
@@ -46,10 +47,10 @@ def _confusion(card: Card) -> Table:
     if any(unkeyed(name)[1] is not None for pair in card.confusion for name in pair):
         return _pairs(card)
     table = _table("What is there (rows), what was named (columns)", "")
-    named = sorted({name for _, name in card.confusion}, key=_last)
+    named = sorted({name for _, name in card.confusion}, key=last)
     for name in named:
         table.add_column(name.replace("_", " "), justify="right")
-    for true in sorted({true for true, _ in card.confusion}, key=_last):
+    for true in sorted({true for true, _ in card.confusion}, key=last):
         counts = [card.confusion.get((true, name), 0) for name in named]
         table.add_row(true, *(str(c) if c else "·" for c in counts))
     return table
@@ -58,21 +59,21 @@ def _confusion(card: Card) -> Table:
 def _pairs(card: Card) -> Table:
     """The same one pair a line, where names are those of joints: more than fit side by side."""
     table = _table("What is there, what was named", "there", "named", "trials")
-    for true, name in sorted(card.confusion, key=lambda pair: (_last(pair[0]), _last(pair[1]))):
+    for true, name in sorted(card.confusion, key=lambda pair: (last(pair[0]), last(pair[1]))):
         table.add_row(true, name, str(card.confusion[true, name]))
     return table
 
 
-def _last(name: str) -> tuple[int, str]:
+def last(name: str) -> tuple[int, str]:
     """Names of effects first, what is none of them last."""
     return (name in {NONE, UNMODELLED, "unexplained_mismatch", "not_decidable", "failed"}, name)
 
 
 def _detection(card: Card) -> Table:
-    table = _table("Detection against strength of the strongest effect", "strength", "detected")
+    table = _table("Strength of the strongest effect", "strength", "detected", "one effect, exact")
     for name, share in card.detection.items():
         if share.of:
-            table.add_row(name, str(share))
+            table.add_row(name, str(share), str(card.named[name]))
     return table
 
 

@@ -1,0 +1,98 @@
+"""A score card as a picture: who was taken for whom, from which strength on, and what probabilities mean."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from labhil.campaign.share import Share
+from labhil.campaign.trials.card import STRENGTH_BINS, Card
+from labhil.campaign.trials.show import last
+from labhil.physics.terms import unkeyed
+from labhil.report.figure import AFTER, BEFORE, MEASURED, figure_of, finish, save
+
+OTHER_JOINT = "right term, other joint"
+WIDEST_BIN = 1.6
+"""How far the range without an upper end is drawn, as a factor."""
+
+
+def plot(card: Card, path: Path) -> None:
+    """Write three panels; UsageError when the file cannot be written or is no format of pictures."""
+    figure = figure_of((13.0, 8.5))
+    panels = figure.subplot_mosaic([["names", "strength"], ["names", "stated"]], width_ratios=[1.6, 1.0])
+    _draw_confusion(panels["names"], card)
+    _draw_strength(panels["strength"], card)
+    _draw_reliability(panels["stated"], card)
+    save(figure, path)
+
+
+def _draw_confusion(axes: Axes, card: Card) -> None:
+    """Counts, each row by its own total; joints are left out but for a name in the wrong one."""
+    pairs = Counter[tuple[str, str]]()
+    for (true, named), n in card.confusion.items():
+        pairs[unkeyed(true)[0], _named(true, named)] += n
+    rows, columns = (sorted({pair[k] for pair in pairs}, key=last) for k in (0, 1))
+    counts = np.array([[pairs[row, column] for column in columns] for row in rows]).reshape(len(rows), -1)
+    axes.imshow(
+        counts / np.maximum(counts.sum(axis=1, keepdims=True), 1), cmap="Greens", vmax=1.6, aspect="auto"
+    )
+    for i, j in zip(*np.nonzero(counts), strict=True):
+        right = rows[i] == columns[j]
+        axes.text(
+            j, i, str(counts[i, j]), ha="center", va="center", color="k" if right else BEFORE, fontsize=8
+        )
+    axes.set_xticks(range(len(columns)), [_words(c) for c in columns], rotation=60, ha="right", fontsize=8)
+    axes.set_yticks(range(len(rows)), [_words(r) for r in rows], fontsize=8)
+    finish(axes, f"{card.rig}, {card.trials} trials: what was there, what was named", "", "")
+    axes.grid(visible=False)
+
+
+def _named(true: str, named: str) -> str:
+    """What is drawn for a name beside the truth."""
+    same = unkeyed(true)[0] == unkeyed(named)[0]
+    return OTHER_JOINT if same and true != named else unkeyed(named)[0]
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _draw_strength(axes: Axes, card: Card) -> None:
+    ends = [*STRENGTH_BINS[1:-1], STRENGTH_BINS[-2] * WIDEST_BIN]
+    middles = dict(zip(card.detection, (np.sqrt(np.maximum(STRENGTH_BINS[:-1], 1.0) * ends)), strict=True))
+    for shares, colour, label in (
+        (card.detection, MEASURED, "detected"),
+        (card.named, AFTER, "one effect, exact"),
+    ):
+        _draw_shares(axes, {middles[name]: share for name, share in shares.items()}, colour, label)
+    axes.set_xscale("log")
+    axes.set_xticks(STRENGTH_BINS[1:-1], [f"{strength:g}" for strength in STRENGTH_BINS[1:-1]])
+    axes.minorticks_off()
+    finish(axes, "Against the strongest effect's strength", "RMSE without it over the noise floor", "share")
+
+
+def _draw_reliability(axes: Axes, card: Card) -> None:
+    axes.plot([0.0, 1.0], [0.0, 1.0], color=MEASURED, lw=0.8)
+    _draw_shares(axes, {row.stated: row.right for row in card.reliability}, AFTER, None)
+    title = "Stated probabilities, and how often they were right"
+    finish(axes, title, "stated", "right")
+
+
+def _draw_shares(axes: Axes, shares: Mapping[float, Share], colour: str, label: str | None) -> None:
+    """Shares over their places with 95 % limits and the number of cases."""
+    there = {x: share for x, share in shares.items() if share.of}
+    values = np.array([share.value for share in there.values()])
+    limits = np.array([share.limits for share in there.values()]).reshape(-1, 2).T
+    reach = np.maximum(np.abs(limits - values), 0.0)
+    axes.errorbar(
+        list(there), values, yerr=reach, fmt="o-", color=colour, ms=4, lw=1.0, capsize=2, label=label
+    )
+    for x, share in there.items():
+        axes.annotate(
+            str(share.of), (x, share.value), (4, -9), textcoords="offset points", fontsize=7, color=colour
+        )
+    axes.set_ylim(-0.03, 1.05)
