@@ -15,7 +15,7 @@ from labhil.signals import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Missing:
-    """One effect that the baseline lacks; ``probability`` is its share among itself and its rivals."""
+    """One effect that the baseline lacks; ``probability`` is that it is really there."""
 
     term: str
     joint: int | None

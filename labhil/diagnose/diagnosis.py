@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy import stats
@@ -12,32 +13,33 @@ from scipy import stats
 from labhil.diagnose import telling
 from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.answer import Change, Diagnosis, Undecided
-from labhil.diagnose.contradiction import structure_p_value
 from labhil.diagnose.evidence import bic, effective_samples
 from labhil.diagnose.found import Found
 from labhil.diagnose.intake import Fault, faults_of, usable
 from labhil.diagnose.judge import NEEDED_BIC, Data
 from labhil.diagnose.load import with_load
+from labhil.diagnose.rest import left_by, stands_in, unexplained
 from labhil.diagnose.search import search
 from labhil.diagnose.unmodelled import Unmodelled, unmodelled
-from labhil.identify.fitted import Fitted, climb, covariances, start_theta
+from labhil.diagnose.wider import searched_and_kept
+from labhil.identify.fitted import Fitted, climb, start_theta
 from labhil.identify.noise import lasting_noise
-from labhil.identify.score import Score, score, with_forces
+from labhil.identify.score import Score, score, scored_horizon, with_forces
 from labhil.identify.statistics import Estimate, stated, with_error
 from labhil.identify.table import table_of
 from labhil.identify.windows import noise_of, told_apart
-from labhil.physics.model import Model, Record, index_of, terms_named
+from labhil.physics.model import Metric, Model, Record, index_of, terms_named
 from labhil.physics.terms import unkeyed
 from labhil.signals import FloatArray
 
 SEARCH_WINDOW_IN_HORIZONS = 0.375
 FIRST_WINDOW_IN_HORIZONS = 0.1875
 FALSE_ALARM = 5e-4
-UNEXPLAINED, SURELY_UNEXPLAINED = 1.5, 2.5
-"""Errors above the noise floor that no noise makes: with residuals that go with the input, and without."""
+SURELY, MISNAMED = 2.5, 1.5
+"""RMSE over the noise floor that no noise makes, and that doubts terms which were found.
 
-MISNAMED = 1.3
-"""The same of terms that were found: the right ones leave noise, wrong ones stand in for a nameless force."""
+The floor of a few windows is not well known: each has only one error of its initial state.
+"""
 
 LASTS = 1.1
 """Factor by which noise as the baseline leaves it must differ from that of single samples to count."""
@@ -77,26 +79,25 @@ def diagnose(
     if not _excited(searched, sigma):
         reason = "neither input nor output moves beyond the noise"
         return _unsearched(data, base, "not_decidable", reason, faults, heldout_is_test, began)
-    found = with_load(data, search(data, base, progress), accepted)
-    sizes = _sizes(model, reference) if reference is not None and not found.errors else frozenset()
-    if sizes:
-        progress("the same with the sizes of the given model held")
-        held = replace(data, held=sizes)
-        found = _simpler(found, search(held, fit_baseline(held, terms), progress))
+    look = partial(_found, terms=terms, reference=reference, accepted=accepted, progress=progress)
+    data, found, left = _looked_wider(data, look(data, base), look, progress)
+    held_out = data.test
     progress("scores, intervals and exclusion limits")
     base = found.baseline
     # the same windows and the same noise before and after
-    horizon = model.horizon_at(found.final.theta)
+    horizon = scored_horizon(model, found.final.theta, held_out)
     noise = lasting_noise(model, found.final.theta, held_out, noise_of(held_out))
-    before = score(model, base.theta, held_out, noise, horizon)
-    after = score(model, found.final.theta, held_out, noise, horizon) if found.missing else before
-    unexplained = _unexplained(found, after)
-    found, beyond = _beyond(data, found) if unexplained else (found, None)
-    after = after if beyond is None else score(*_accepted(model, found, beyond), held_out, noise, horizon)
+    marked = partial(score, record=held_out, sigma=noise.sigma, horizon=horizon, lasts=noise.lasts)
+    before = marked(model, base.theta)
+    after = marked(model, found.final.theta) if found.missing else before
+    more = unexplained(data, left) or _excess(after) > (MISNAMED if found.missing else SURELY)
+    found, beyond = _beyond(data, found, left) if more else (found, None)
+    after = marked(*_accepted(model, found, beyond)) if more else after
+    excess, claims = _doubts(model, after, found, beyond)
     final = _rows(found) if beyond is None else beyond.rows
     changed = _changes(final, reference)
     return Diagnosis(
-        verdict=_verdict(found, changed, beyond, unexplained),
+        verdict=_verdict(found, changed, beyond, more),
         faults=faults,
         p_value=found.p_value,
         p_value_method="tail_extrapolated",
@@ -106,15 +107,15 @@ def diagnose(
         changed=changed,
         location=telling.location(found, before, after, held_out, beyond),
         missing=(
-            *(telling.missing(model, step, found, final) for step in found.missing),
-            *(() if beyond is None else (telling.unnamed(beyond),)),
+            *(telling.missing(model, step, found, final, excess, claims) for step in found.missing),
+            *(() if beyond is None else (telling.unnamed(beyond, excess, claims),)),
         ),
-        rivals=tuple(telling.rival_term(model, rival, found) for rival in found.rivals),
+        rivals=tuple(telling.rival_term(model, rival, found, excess, claims) for rival in found.rivals),
         undecided=telling.undecided(model),
         excluded=telling.excluded(data, found),
         data="test" if heldout_is_test else "heldout",
-        before=with_forces(before, model, base.theta, held_out, noise),
-        after=with_forces(after, *_accepted(model, found, beyond), held_out, noise),
+        before=with_forces(before, model, base.theta, held_out, noise.sigma),
+        after=with_forces(after, *_accepted(model, found, beyond), held_out, noise.sigma),
         final_terms=found.final.terms,
         final=final,
         baseline_fit=base,
@@ -123,6 +124,47 @@ def diagnose(
         seconds=time.perf_counter() - began,
         shorter=_on_shorter_windows(data, found, before, after),
     )
+
+
+def _found(
+    data: Data,
+    base: Fitted,
+    *,
+    terms: Sequence[str],
+    reference: Mapping[str, float] | None,
+    accepted: Accepted | None,
+    progress: Callable[[str], None],
+) -> Found:
+    """Search once; with values of the user's own sizes, once more with these held."""
+    found = with_load(data, search(data, base, progress), accepted)
+    sizes = _sizes(data.model, reference) if reference is not None and not found.errors else frozenset()
+    if not sizes:
+        return found
+    progress("the same with the sizes of the given model held")
+    held = replace(data, held=sizes)
+    return _simpler(found, search(held, fit_baseline(held, terms), progress))
+
+
+def _looked_wider(
+    data: Data, found: Found, look: Callable[[Data, Fitted], Found], progress: Callable[[str], None]
+) -> tuple[Data, Found, FloatArray]:
+    """Data, what was found, and what that leaves: of a wider search where only held-out data show something.
+
+    It has to explain these; else the first answer stays.
+    """
+    left = left_by(data, found.final)
+    parts = searched_and_kept(data) if unexplained(data, left[1]) and not unexplained(data, left[0]) else None
+    if parts is None:
+        return data, found, left
+    progress("the held-out data show what the searched ones do not: the search goes on with half of them")
+    searched, kept = parts
+    wider = replace(data, search=searched, test=kept, sigma=noise_of(searched), test_sigma=noise_of(kept))
+    wider, base = _with_lasting_noise(wider, fit_baseline(wider, found.baseline.terms))
+    again = look(wider, base)
+    left_then = left_by(wider, again.final)
+    if not again.missing or unexplained(wider, left_then):
+        return data, found, left
+    return wider, again, left_then
 
 
 def _on_shorter_windows(data: Data, found: Found, before: Score, after: Score) -> tuple[Score, Score] | None:
@@ -135,22 +177,24 @@ def _on_shorter_windows(data: Data, found: Found, before: Score, after: Score) -
     return data.judge(found.baseline.theta)[0], data.judge(found.final.theta)[0]
 
 
-def _beyond(data: Data, found: Found) -> tuple[Found, Unmodelled | None]:
+def _beyond(data: Data, found: Found, left: FloatArray) -> tuple[Found, Unmodelled | None]:
     """A force that no named term explains, and what was found without the terms that it makes needless.
 
-    Where a curve is the answer, named terms may only have stood in for it.
+    Where a curve is the answer, or none is and most of the excess is still ``left`` (c,), named terms only
+    stood in for something else.
     """
     beyond = _curve(data, found.final)
-    if beyond is None or not found.missing:
+    if not found.missing:
         return found, beyond
+    nothing = replace(found, final=found.baseline, missing=(), rivals=())
+    if beyond is None:
+        return (nothing if stands_in(left_by(data, found.baseline), left) else found), None
     alone = _curve(data, found.baseline)
     effective = effective_samples(beyond.fit)
     if alone is None:
         return found, beyond
     marks = [bic(each.fit, effective, each.degrees) for each in (alone, beyond)]
-    if marks[0] > marks[1]:
-        return found, beyond
-    return replace(found, final=found.baseline, missing=(), rivals=()), alone
+    return (found, beyond) if marks[0] > marks[1] else (nothing, alone)
 
 
 def _curve(data: Data, final: Fitted) -> Unmodelled | None:
@@ -183,8 +227,8 @@ def fit_baseline(data: Data, terms: Sequence[str]) -> Fitted:
 
 def _with_lasting_noise(data: Data, base: Fitted) -> tuple[Data, Fitted]:
     """The data with noise as the baseline leaves it on short windows, and the baseline in units of that."""
-    seen = lasting_noise(data.model, base.theta, data.search, data.sigma)
-    tested = lasting_noise(data.model, base.theta, data.test, data.test_sigma)
+    seen = lasting_noise(data.model, base.theta, data.search, data.sigma).sigma
+    tested = lasting_noise(data.model, base.theta, data.test, data.test_sigma).sigma
     if np.all((seen < LASTS * data.sigma) & (LASTS * seen > data.sigma)):
         return replace(data, test_sigma=tested), base
     data = replace(data, sigma=seen, test_sigma=tested)
@@ -234,20 +278,16 @@ def _verdict(found: Found, changed: tuple[Change, ...], beyond: Unmodelled | Non
     return "parameter_change" if changed else "no_mismatch"
 
 
-def _unexplained(found: Found, after: Score) -> bool:
-    """Whether named terms leave more than noise; found ones are doubted sooner than the baseline."""
-    excess = after.rmse / after.noise_floor
-    if excess > (MISNAMED if found.missing else SURELY_UNEXPLAINED):
-        return True
-    return excess > UNEXPLAINED and _structured(found.final)
+def _excess(marks: Score) -> float:
+    """RMSE over the noise floor of the worst output."""
+    return max(channel.rmse / channel.noise_floor for channel in marks.channels)
 
 
-def _structured(final: Fitted) -> bool:
-    """Whether what is left on the search data goes with the input's recent past."""
-    _, _, jacobian = covariances(final)
-    solution = final.solution
-    p_values = structure_p_value(final.problem, solution.point, solution.residuals, jacobian)
-    return len(p_values) * min(p_values) < FALSE_ALARM
+def _doubts(model: Model, after: Score, found: Found, beyond: Unmodelled | None) -> tuple[float, int]:
+    """What speaks against a claim: the excess that stays, and how many there are; of an arm neither."""
+    if model.metric is Metric.INVERSE_DYNAMICS:
+        return 1.0, 1
+    return _excess(after), len(found.missing) + (beyond is not None)
 
 
 def _changes(final: Sequence[Estimate], reference: Mapping[str, float] | None) -> tuple[Change, ...]:

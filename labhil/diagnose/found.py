@@ -43,6 +43,10 @@ class Found:
     looks: int
     errors: Mapping[str, float] = field(default_factory=dict)
 
+    def step(self, term: str) -> Step:
+        """The step that added a term; StopIteration where it was none that counts."""
+        return next(step for step in self.missing if step.terms[0] == term)
+
 
 @dataclass(slots=True)
 class Trail:

@@ -51,7 +51,8 @@ def search(data: Data, baseline: Fitted, progress: Progress) -> Found:
             data, baseline = hunt.follow_on_longer_windows(trail)
             trail.current = hunt.pruned(data, trail.current)
     current, kept = supported_only(data, baseline, trail.current, looks)
-    rivals = tuple(r for r in trail.rivals if r.instead_of in current.terms)
+    told = {step.terms[0] for step in kept}
+    rivals = tuple(r for r in trail.rivals if r.instead_of in told)
     # of the first step when something was found, else of the last, which found nothing to add
     p_value = trail.p_values[0 if kept else -1] if trail.p_values else 1.0
     return Found(baseline, current, kept, rivals, p_value, looks)

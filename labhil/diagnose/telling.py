@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +9,7 @@ from scipy import stats
 
 from labhil.diagnose import locate
 from labhil.diagnose.answer import Curve, Excluded, Missing, RivalTerm, Undecided
+from labhil.diagnose.credence import credence, share
 from labhil.diagnose.found import Found, Rival, Step
 from labhil.diagnose.judge import Data
 from labhil.diagnose.screen import residuals_at
@@ -22,8 +22,13 @@ from labhil.physics.terms import Parameter, Term, keyed, unkeyed
 from labhil.signals import FloatArray
 
 
-def missing(model: Model, step: Step, found: Found, final: list[Estimate]) -> Missing:
-    """One found term with its parameters among the rows ``final`` and its share among its rivals."""
+def missing(
+    model: Model, step: Step, found: Found, final: list[Estimate], excess: float, claims: int
+) -> Missing:
+    """One found term of so many ``claims``, with its parameters among the rows ``final``.
+
+    ``excess`` is what is left of the worst output, over its noise floor.
+    """
     (key,) = step.terms
     term = model.terms[key]
     rows = [row for row in final if (row.term, row.joint) == (term.name, term.joint)]
@@ -35,7 +40,7 @@ def missing(model: Model, step: Step, found: Found, final: list[Estimate]) -> Mi
         joint=term.joint,
         statement=f"The model leaves out {term.statement}{at}: {sizes}.",
         equation=term.equation,
-        probability=_probability(0.0, rivals),
+        probability=credence(step.evidence, excess, claims) * share(0.0, rivals),
         parameters=rows,
         evidence=step.evidence,
     )
@@ -46,15 +51,15 @@ def _short(row: Estimate) -> str:
     return keyed(row.name.partition(".")[2], None, row.recording)
 
 
-def unnamed(beyond: Unmodelled) -> Missing:
-    """The entry of what no named term explains."""
+def unnamed(beyond: Unmodelled, excess: float, claims: int) -> Missing:
+    """The entry of what no named term explains; see :func:`missing`."""
     formula = f"; about {beyond.formula}" if beyond.formula else ""
     return Missing(
         term=beyond.term,
         joint=None,
         statement=beyond.statement,
         equation=f"a curve over {', '.join(beyond.depends_on)}{formula}",
-        probability=1.0,
+        probability=credence(beyond.evidence, excess, claims),
         parameters=[],
         evidence=beyond.evidence,
     )
@@ -76,25 +81,20 @@ def curve(beyond: Unmodelled) -> Curve:
     )
 
 
-def rival_term(model: Model, rival: Rival, found: Found) -> RivalTerm:
-    """A rival with its probability and the excitation that would tell."""
+def rival_term(model: Model, rival: Rival, found: Found, excess: float, claims: int) -> RivalTerm:
+    """A rival with its probability and the excitation that would tell; see :func:`missing`."""
     same = [r for r in found.rivals if r.instead_of == rival.instead_of]
+    step = found.step(rival.instead_of)
     term = model.terms[rival.term]
     return RivalTerm(
         term=term.name,
         instead_of=rival.instead_of,
         joint=term.joint,
-        probability=_probability(rival.delta_bic, same),
+        probability=credence(step.evidence, excess, claims) * share(rival.delta_bic, same),
         delta_bic=rival.delta_bic,
         distinguishable=False,
         experiment=f"excite with {term.revealed_by}",
     )
-
-
-def _probability(delta_bic: float, rivals: Sequence[Rival]) -> float:
-    """exp(−ΔBIC/2) of one among all that stand for the same term, with the term itself at zero."""
-    total = 1.0 + sum(np.exp(-0.5 * r.delta_bic) for r in rivals)
-    return float(np.exp(-0.5 * delta_bic) / total)
 
 
 def undecided(model: Model) -> tuple[Undecided, ...]:

@@ -28,7 +28,7 @@ from labhil.diagnose.evidence import Evidence, effective_samples, heldout_gain
 from labhil.diagnose.judge import TRUSTED, Data, supported
 from labhil.identify.extended import NAME, Coordinate
 from labhil.identify.fitted import Fitted
-from labhil.identify.score import Score, score
+from labhil.identify.score import Score, score, scored_horizon
 from labhil.identify.statistics import Estimate
 from labhil.identify.windows import fit_windows
 from labhil.physics.extra_force import Over, Yielding
@@ -198,7 +198,7 @@ def judged(data: Data, model: Model, theta: FloatArray, like: Score) -> Score:
 
 
 def _answer(data: Data, final: Fitted, chosen: Curved, evidence: Evidence) -> Unmodelled:
-    horizon = data.model.horizon_at(final.theta)
+    horizon = scored_horizon(data.model, final.theta, data.test)
     before = score(data.model, final.theta, data.test, data.test_sigma, horizon)
     after = score(chosen.model, chosen.fitted.theta, data.test, data.test_sigma, horizon)
     coordinate = chosen.model.coordinate

@@ -23,6 +23,9 @@ RELEVANT, RELEVANT_BESIDE = 0.05, 0.5
 On precise recordings of real mechanisms there is always a further term that chance does not explain.
 """
 
+LEAST = 25.0
+"""Squares of noise that a term has to explain, whatever the noise is taken for: rounding is no noise."""
+
 WEIGHED, WEIGHED_WIDELY = (2, 0.5), (5, 0.1)
 """How many rivals are tried in the place of each found term, and what share of what its absence leaves they
 have to promise: on long windows, where a projection says less, more of them and with less."""
@@ -91,7 +94,8 @@ def _preferred(before: Sequence[Score], after: Sequence[Score], delta_bic: float
 def relevant(baseline: Fitted, before: Fitted, after: Fitted) -> bool:
     """Whether a step explains enough of what the baseline leaves unexplained."""
     at_first, left = (fitted.solution.cost - fitted.dof for fitted in (baseline, before))
-    return before.solution.cost - after.solution.cost > min(RELEVANT * at_first, RELEVANT_BESIDE * left)
+    needed = max(min(RELEVANT * at_first, RELEVANT_BESIDE * left), LEAST)
+    return before.solution.cost - after.solution.cost > needed
 
 
 def _significant(fitted: Fitted, term: str) -> bool:

@@ -107,17 +107,32 @@ class Score(Figures):
     recordings: tuple[RecordingScore, ...] = ()
 
 
+def scored_horizon(model: Model, theta: FloatArray, record: Record) -> float:
+    """The horizon of a model's metric, s; where it is longer than a recording, one that fits twice.
+
+    A vector with hardly any damping asks for that.
+    """
+    wanted = model.horizon_at(theta)
+    return wanted if wanted <= min(record.durations) else record.countable
+
+
 def score(
-    model: Model, theta: FloatArray, record: Record, sigma: FloatArray, horizon: float | None = None
+    model: Model,
+    theta: FloatArray,
+    record: Record,
+    sigma: FloatArray,
+    horizon: float | None = None,
+    lasts: FloatArray | None = None,
 ) -> Score:
     """Simulate the windows of a record, each from the state that its own lead-in suggests.
 
-    ``sigma`` (channels,) is the measurement noise. Raises RecordingError when the record is too short.
+    ``sigma`` (channels,) is the measurement noise, and ``lasts`` (channels,) how many times the variance of a
+    mean of white noise its mean has (default: 1). Raises RecordingError when the record is too short.
     """
     if model.metric is Metric.INVERSE_DYNAMICS:
         windows = all_of(record)
     else:
-        windows = scored_windows(record, horizon or model.horizon_at(theta))
+        windows = scored_windows(record, horizon or scored_horizon(model, theta, record))
     nothing = np.empty(0, dtype=np.int64)
     lead = Problem(model, record, windows.lead, nothing, theta, sigma)
     none = np.empty(0)
@@ -128,7 +143,7 @@ def score(
     rows = windows.whole.rows[windows.scored]
     noise = noise_at(record, rows, sigma)
     errors = residuals.reshape(-1, c)[windows.scored] * noise
-    carried = _carried(whole, windows, states, residuals)
+    carried = _carried(whole, windows, states, residuals, np.ones(c) if lasts is None else lasts)
     owner = windows.whole.owner[windows.scored]
     stated = None if model.metric is Metric.INVERSE_DYNAMICS else windows.horizon
     return Score(
@@ -244,16 +259,20 @@ def _spread(record: Record, j: int, rows: IntArray) -> float:
     return total
 
 
-def _carried(whole: Problem, windows: ScoredWindows, states: FloatArray, residuals: FloatArray) -> FloatArray:
+def _carried(
+    whole: Problem, windows: ScoredWindows, states: FloatArray, residuals: FloatArray, lasts: FloatArray
+) -> FloatArray:
     """What the initial state's error adds to the variance of each scored sample (N, c), over the noise's.
 
-    a·(AᵀA)⁻¹·aᵀ, A over the lead-in, a over the scored part; the noise floor is σ·√(1 + its mean).
+    a·(AᵀA)⁻¹·AᵀLA·(AᵀA)⁻¹·aᵀ, A over the lead-in, a over the scored part, L how long noise lasts; the noise
+    floor is σ·√(1 + its mean).
     """
     c = len(whole.sigma)
     lin = whole.linearise(Point(np.empty(0), states), residuals)
-    lead_rows = np.repeat(~windows.scored, c)[:, None]
-    gram = whole.state_gram(lin.by_states * lead_rows)
-    spread = np.linalg.inv(gram)[whole.owner]
+    lead = lin.by_states * np.repeat(~windows.scored, c)[:, None]
+    inverse = np.linalg.inv(whole.state_gram(lead))
+    lasting = whole.state_gram(lead * np.tile(np.sqrt(lasts), len(lead) // c)[:, None])
+    spread = (inverse @ lasting @ inverse)[whole.owner]
     carried = np.einsum("ns,nst,nt->n", lin.by_states, spread, lin.by_states)
     # a state that its lead-in cannot see (a ball that rests there) stays where it was put
     return np.asarray(np.minimum(carried, 100.0).reshape(-1, c)[windows.scored])

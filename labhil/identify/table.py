@@ -33,6 +33,9 @@ FLAT = 10.0
 Practical non-identifiability: Raue and others, Bioinformatics 25, 2009.
 """
 
+NARROW = 0.7
+"""A profile less than this times as wide as its curvature says ends at the edge of a rough valley."""
+
 TIED = 0.99
 """Nor is one whose error goes with that of such a value, by this correlation."""
 
@@ -109,9 +112,11 @@ def _intervals(
         )
     elif method is not Intervals.WALD:
         followed = np.isfinite(errors) & (_bent(fitted, errors) if method is Intervals.AUTO else True)
+        profiles = _profiles(fitted, followed, jacobian, inflation, reach)
+        parameters = [problem.model.parameters[i] for i in problem.free]
         ends = [
-            found or wald
-            for found, wald in zip(_profiles(fitted, followed, jacobian, inflation, reach), ends, strict=True)
+            wald if found is None else _wide_enough(found, wald, parameter)
+            for found, wald, parameter in zip(profiles, ends, parameters, strict=True)
         ]
     for rival in fitted.rivals:
         ends = [_hull(*both) for both in zip(ends, _of_rival(rival, fitted, inflation, reach), strict=True)]
@@ -142,6 +147,14 @@ def _profiles(
             ends[place] = profile_interval(problem, solution, j, covariance, float(inflation[place]), reach)
     whole.evaluations += problem.evaluations
     return ends
+
+
+def _wide_enough(profile: Interval, wald: Interval, parameter: Parameter) -> Interval:
+    """The profile's interval, or where it is too narrow to be smooth the hull of both, within bounds."""
+    if profile[1] - profile[0] > NARROW * (wald[1] - wald[0]):
+        return profile
+    low, high = _hull(profile, wald)
+    return max(low, parameter.lower), min(high, parameter.upper)
 
 
 def _of_rival(rival: Fitted, best: Fitted, inflation: FloatArray, reach: float) -> list[Interval | None]:

@@ -20,7 +20,7 @@ from labhil.physics.friction_terms import friction_terms, load_dependent_frictio
 from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.path_terms import input_terms, output_terms
 from labhil.physics.terms import Enters, Parameter, Term, Yardstick
-from labhil.physics.values import Values, known_numbers, near
+from labhil.physics.values import Values, horizon_of, known_numbers, near
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
 
@@ -194,7 +194,7 @@ class AxisModel:
         self._values = Values(self.fixed, self.parameters)
         self.cut_off = rig.metric.cut_off or CUT_OFF
         self._stated = rig.metric.horizon
-        self.horizon = self._stated or TIME_CONSTANTS * self.sizes.time_constant
+        self.horizon = horizon_of(self._stated, TIME_CONSTANTS * self.sizes.time_constant, record)
         self._path = DrivenPath()
 
     def with_force(self, force: ExtraForce) -> AxisModel:

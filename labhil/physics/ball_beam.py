@@ -15,7 +15,7 @@ from labhil.physics import input_path, rolling
 from labhil.physics.extra_force import ExtraForce
 from labhil.physics.friction_terms import friction_terms
 from labhil.physics.model import Metric, Record, Windows, index_of, start_values
-from labhil.physics.path_terms import input_terms, output_terms
+from labhil.physics.path_terms import input_terms, offset_term, output_terms
 from labhil.physics.terms import Enters, Parameter, Term, Yardstick
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
@@ -91,7 +91,10 @@ def catalogue(per_unit_mass: bool) -> dict[str, Term]:
         (Parameter("added_inertia.mass", "kg", 0.05, -0.2),),
     )
     terms = friction_terms(force, "m", level, SPEED) + loads + input_terms("rad")
-    terms += output_terms("ball_position", "m", SPAN) + (() if per_unit_mass else (inertia,))
+    offset = offset_term(
+        "ball_position", "m", 1e-3, "a beam that turns fast: what pulls outwards knows its pivot"
+    )
+    terms += (*output_terms("ball_position", "m", SPAN), offset) + (() if per_unit_mass else (inertia,))
     return {term.name: term for term in terms}
 
 
@@ -118,9 +121,7 @@ class BallBeamModel:
     state_scale = np.array([0.01, 0.05])
     metric = Metric.WINDOWED_SIMULATION
     forgets = False
-    never_seen: Mapping[str, str] = {
-        "sensor_offset": "a constant offset of position is taken up by each window's own initial state"
-    }
+    never_seen: Mapping[str, str] = {}
 
     def __init__(self, rig: RigFile, record: Record | None = None) -> None:
         self.linkage = record is None or record.input_names[0] == "servo_angle"
@@ -305,6 +306,7 @@ class BallBeamModel:
         cubic, gain = self._value(theta, "sensor_nonlinearity.cubic"), self._value(theta, "sensor_gain.gain")
         x = x + cubic * x * x * x if cubic else x
         x = x * (1.0 + gain) if gain else x
+        x = x + self._value(theta, "sensor_offset.offset")
         time_constant = self._value(theta, "sensor_lag.time_constant")
         if not time_constant:
             return x

@@ -17,7 +17,7 @@ from labhil.physics.driven import DrivenPath
 from labhil.physics.extra_force import ExtraForce
 from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.terms import Term, Yardstick
-from labhil.physics.values import Values, known_numbers, near
+from labhil.physics.values import Values, horizon_of, known_numbers, near
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
 
@@ -68,7 +68,7 @@ class DcMotorModel:
         self.state_scale = np.array([0.05 * self.sizes.speed, 0.1 * self.sizes.current])
         self._values = Values(self.fixed, self.parameters)
         self._stated = rig.metric.horizon
-        self.horizon = self._stated or TIME_CONSTANTS * self.sizes.time_constant
+        self.horizon = horizon_of(self._stated, TIME_CONSTANTS * self.sizes.time_constant, record)
         self._path = DrivenPath()
         # without a measured angle each window counts its own from zero
         told = record is not None and "angle" in record.auxiliary

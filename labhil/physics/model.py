@@ -16,6 +16,9 @@ from labhil.signals import FloatArray, Hold, IntArray
 BORDER = 20.0
 """Usual steps of time between two recordings that stand in one record."""
 
+TWO_AND_A_LEAD = 0.4
+"""Of a recording, for a horizon that follows another and half of one before them."""
+
 WHITE = (1.0, 0.0, 0.0, 0.0)
 """Correlation of white noise in rows 0 to 3 apart."""
 
@@ -88,6 +91,11 @@ class Record:
     def duration(self) -> float:
         """All of these, s."""
         return sum(self.durations)
+
+    @property
+    def countable(self) -> float:
+        """The longest horizon of which two and the half of one before them fit into every recording, s."""
+        return TWO_AND_A_LEAD * min(self.durations)
 
     @property
     def longest(self) -> float:

@@ -88,7 +88,9 @@ def input_terms(unit: str) -> tuple[Term, ...]:
     )
 
 
-def offset_term(channel: str, unit: str, size: float) -> Term:
+def offset_term(
+    channel: str, unit: str, size: float, revealed_by: str = "rest at a known place, or motion both ways"
+) -> Term:
     """An offset of the sensor of ``channel``, for channels whose zero means something."""
     return Term(
         "sensor_offset",
@@ -96,7 +98,7 @@ def offset_term(channel: str, unit: str, size: float) -> Term:
         f"an offset of the sensor of {channel}",
         "y = x + y_0",
         "standard",
-        "rest at a known place, or motion both ways",
+        revealed_by,
         (Parameter("sensor_offset.offset", unit, size),),
     )
 

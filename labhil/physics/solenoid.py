@@ -26,7 +26,7 @@ from labhil.physics.friction_terms import friction_terms, load_dependent_frictio
 from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.path_terms import input_terms, offset_term, output_terms
 from labhil.physics.terms import Enters, Parameter, Term, Yardstick
-from labhil.physics.values import Values, known_numbers, near
+from labhil.physics.values import Values, horizon_of, known_numbers, near
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
 
@@ -188,7 +188,8 @@ class SolenoidModel:
         self._values = Values(self.fixed, self.parameters)
         self._stated = rig.metric.horizon
         natural = np.sqrt(self.fixed.get("spring_stiffness", TYPICAL_STIFFNESS) / TYPICAL_MASS)
-        self.horizon = float(self._stated or max(PERIODS * 2.0 * np.pi / natural, 0.1))
+        typical = max(PERIODS * 2.0 * np.pi / float(natural), 0.1)
+        self.horizon = horizon_of(self._stated, typical, record)
         self._path = DrivenPath()
 
     def with_force(self, force: ExtraForce) -> SolenoidModel:

@@ -46,6 +46,13 @@ class Values:
         return lagged(record, windows, x, time_constant) if time_constant else x
 
 
+def horizon_of(stated: float | None, typical: float, record: Record | None) -> float:
+    """The stated horizon, or a typical one (s), at most so long that two fit into every recording."""
+    if stated or record is None:
+        return stated or typical
+    return min(typical, record.countable)
+
+
 def near(horizon: float, typical: float) -> float:
     """A horizon (s) no further than a factor of five from the typical one: a bad fit must not set its own."""
     return float(np.clip(horizon, 0.2 * typical, 5.0 * typical))

@@ -130,6 +130,7 @@ def load_material(
     if not test_paths:
         with naming(found):
             learn, judge = _held_out(model, measured, found, holdout)
+            _refuse_horizon(rig, judge)
         return Material(rig, model, learn, judge, False, measured, learning)
     tested = [read_recording(each).of_device(device) for each in test_paths]
     tests, test = _measured(tested, rig, like=measured, of=found[0])
@@ -140,6 +141,7 @@ def load_material(
         learn = model.prepare(measured)
     with naming(tested):
         judge = model.prepare(test)
+        _refuse_horizon(rig, judge)
     return Material(rig, model, learn, judge, True, measured, (*learning, *judging))
 
 
@@ -246,6 +248,15 @@ def _refuse_counts(paths: Sequence[Path], tests: Sequence[Path], per_recording: 
         raise UsageError(
             f"--test: expected one for each of the {len(paths)} recordings, in their order, since "
             f"{', '.join(per_recording)} has a value in each of them; found {len(tests)}"
+        )
+
+
+def _refuse_horizon(rig: RigFile, judge: Record) -> None:
+    """Raise RecordingError where a stated horizon is longer than what is judged on."""
+    horizon, there = rig.metric.horizon or 0.0, min(judge.durations)
+    if horizon > there:
+        raise RecordingError(
+            f"[metric] horizon: expected at most the {there:.3g} s that are judged on, found {horizon:g}"
         )
 
 

@@ -177,7 +177,7 @@ def null():
 def test_the_noise_of_an_arm_is_read_from_what_its_model_leaves(null):
     oracle = null.oracle
     refit = oracle.refit(BASELINE)
-    stated = lasting_noise(oracle.model, refit.theta, oracle.test, noise_of(oracle.test))
+    stated = lasting_noise(oracle.model, refit.theta, oracle.test, noise_of(oracle.test)).sigma
     assert stated == pytest.approx(oracle.left.rms, rel=0.15)
 
 

@@ -20,7 +20,7 @@ from labhil.diagnose.judge import Data
 from labhil.diagnose.refit import refit
 from labhil.diagnose.screen import Screen, candidates
 from labhil.identify.fitted import Fitted
-from labhil.identify.score import score
+from labhil.identify.score import score, scored_horizon
 from labhil.identify.table import table_of
 from labhil.physics.rigs import rig_model
 from labhil.physics.terms import unkeyed
@@ -44,7 +44,7 @@ def stepwise_study(material: Material) -> dict[str, Any]:
     baseline = fit_baseline(data, rig_model(model.kind).baseline)
     final = selected(data, baseline)
     added = [key for key in final.terms if key not in baseline.terms]
-    horizon = model.horizon_at(final.theta)
+    horizon = scored_horizon(model, final.theta, data.test)
     before, after = (score(model, f.theta, data.test, data.test_sigma, horizon) for f in (baseline, final))
     return {
         "schema": "labhil.diagnosis/1",

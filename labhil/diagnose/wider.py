@@ -1,0 +1,38 @@
+"""What only a held-out recording shows: the search goes on with parts of it.
+
+A recording may never come where an effect acts (too slow, too small a stroke), while another one does. The
+other parts of that other one then are what the search never sees.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from labhil.diagnose.judge import Data
+from labhil.identify.windows import told_apart
+from labhil.physics.model import Record, joined
+
+PARTS = (4, 2)
+"""Into how many the held-out recording is cut, if they are long enough: an effect may act now and then."""
+
+LONG_ENOUGH = 1.25
+"""Horizons in each, at least: half of one before what is scored."""
+
+
+def searched_and_kept(data: Data) -> tuple[Record, Record] | None:
+    """What was searched with every other part of the held-out recording, and the parts that are left.
+
+    None of several recordings, where parameters may belong to one of them, where a record cannot be cut
+    (inverse dynamics) and where parts would be too short to judge on.
+    """
+    if len(data.search.begins) + len(data.test.begins) > 2 or not data.model.state_names:
+        return None
+    for count in PARTS:
+        if data.test.duration / count >= LONG_ENOUGH * data.model.horizon:
+            edges = np.linspace(0, len(data.test), count + 1).astype(int)
+            parts = [data.test.part(int(a), int(b)) for a, b in pairwise(edges)]
+            searched, kept = joined([data.search, *parts[::2]]), joined(parts[1::2])
+            return told_apart(data.model, searched), told_apart(data.model, kept)
+    return None
