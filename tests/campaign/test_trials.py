@@ -19,6 +19,7 @@ from labhil.campaign.trials.folder import read_index
 from labhil.campaign.trials.judge import judge
 from labhil.campaign.trials.make import Order, answers_beside, make_trial, make_trials
 from labhil.campaign.trials.noise import TrueNoise
+from labhil.campaign.trials.plot import plot
 from labhil.campaign.trials.regime import agreement, inside, level_set
 from labhil.campaign.trials.run import run_trials
 from labhil.campaign.trials.said import Regime, said_in
@@ -374,6 +375,31 @@ def test_reliability_is_counted_in_tenths():
     card = count([judge(answer(effect("backlash")), said("dead_zone"), lossless)], "ball_beam", False)
     assert card.calibration_error == pytest.approx(0.9)
     assert json.dumps(card.to_json(), allow_nan=False)
+
+
+def test_answers_are_counted_by_strength_and_every_trial_is_told():
+    weak, full = (answer(effect("dead_zone", strength=strength)) for strength in (1.4, 4.0))
+    judged = [
+        judge(weak, said(verdict="not_decidable"), lossless),
+        judge(full, said("dead_zone"), lossless),
+        judge(full, said("backlash"), lossless),
+    ]
+    card = count(judged, "ball_beam", False)
+    assert card.undecided == Share(1, 3)
+    assert (card.named["1.3 to 1.6"], card.named["3 to 5"]) == (Share(0, 1), Share(1, 2))
+    first, _, last = card.to_json()["each"]
+    assert (first["verdict"], first["effects"]) == ("not_decidable", [["dead_zone", 1.4, 100.0]])
+    assert last["named"] == [["dead_zone", "backlash"]]
+
+
+def test_a_score_is_drawn(tmp_path):
+    judged = [judge(answer(effect("dead_zone")), said("backlash"), lossless)]
+    path = tmp_path / "score.png"
+    plot(count(judged, "ball_beam", False), path)
+    assert path.read_bytes().startswith(b"\x89PNG")
+    plot(count([], "ball_beam", False), path)
+    with pytest.raises(UsageError, match="cannot be written"):
+        plot(count(judged, "ball_beam", False), tmp_path / "score.nothing")
 
 
 def test_the_commands_explain_themselves(tmp_path):

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 
 from labhil.campaign.share import Share
 from labhil.campaign.trials.card import STRENGTH_BINS, Card
+from labhil.campaign.trials.judge import NONE
 from labhil.campaign.trials.show import last
 from labhil.physics.terms import unkeyed
 from labhil.report.figure import AFTER, BEFORE, MEASURED, figure_of, finish, save
@@ -35,8 +36,8 @@ def _draw_confusion(axes: Axes, card: Card) -> None:
     pairs = Counter[tuple[str, str]]()
     for (true, named), n in card.confusion.items():
         pairs[unkeyed(true)[0], _named(true, named)] += n
-    rows, columns = (sorted({pair[k] for pair in pairs}, key=last) for k in (0, 1))
-    counts = np.array([[pairs[row, column] for column in columns] for row in rows]).reshape(len(rows), -1)
+    rows, columns = (sorted({pair[k] for pair in pairs}, key=last) or [NONE] for k in (0, 1))
+    counts = np.array([[pairs[row, column] for column in columns] for row in rows])
     axes.imshow(
         counts / np.maximum(counts.sum(axis=1, keepdims=True), 1), cmap="Greens", vmax=1.6, aspect="auto"
     )
