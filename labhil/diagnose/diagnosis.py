@@ -81,7 +81,7 @@ def diagnose(
         return _unsearched(data, base, "not_decidable", reason, faults, heldout_is_test, began)
     look = partial(_found, terms=terms, reference=reference, accepted=accepted, progress=progress)
     data, found, left = _looked_wider(data, look(data, base), look, progress)
-    held_out = data.test
+    held_out, wider = data.test, data.test is not held_out
     progress("scores, intervals and exclusion limits")
     base = found.baseline
     # the same windows and the same noise before and after
@@ -105,7 +105,7 @@ def diagnose(
         baseline_terms=base.terms,
         baseline=table_of(base).rows,
         changed=changed,
-        location=telling.location(found, before, after, held_out, beyond),
+        location=telling.location(found, before, after, held_out, beyond, wider=wider),
         missing=(
             *(telling.missing(model, step, found, final, excess, claims) for step in found.missing),
             *(() if beyond is None else (telling.unnamed(beyond, excess, claims),)),

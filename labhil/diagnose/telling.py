@@ -21,6 +21,11 @@ from labhil.physics.model import Model, Record, index_of
 from labhil.physics.terms import Parameter, Term, keyed, unkeyed
 from labhil.signals import FloatArray
 
+WIDER = (
+    " The searched recording never comes there: every other part of the held-out one was searched, too, "
+    "and figures are of the parts between."
+)
+
 
 def missing(
     model: Model, step: Step, found: Found, final: list[Estimate], excess: float, claims: int
@@ -103,11 +108,22 @@ def undecided(model: Model) -> tuple[Undecided, ...]:
 
 
 def location(
-    found: Found, before: Score, after: Score, held_out: Record, beyond: Unmodelled | None
+    found: Found, before: Score, after: Score, held_out: Record, beyond: Unmodelled | None, *, wider: bool
 ) -> locate.Location | None:
-    """Where the mismatch lives; None where none was found."""
-    if not found.missing:
-        return None if beyond is None else _beyond_location(found, before, after, held_out, beyond)
+    """Where the mismatch lives; None where none was found.
+
+    ``wider``: half of what was held out was searched, too.
+    """
+    if found.missing:
+        place = _named_location(found, before, after, held_out)
+    elif beyond is not None:
+        place = _beyond_location(found, before, after, held_out, beyond)
+    else:
+        return None
+    return replace(place, statement=place.statement + WIDER) if wider else place
+
+
+def _named_location(found: Found, before: Score, after: Score, held_out: Record) -> locate.Location:
     model = found.final.problem.model
     strongest = model.terms[found.missing[0].terms[0]]
     shares = {step.terms[0]: locate.contribution(found.final, step.terms[0]) for step in found.missing}

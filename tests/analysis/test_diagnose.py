@@ -306,5 +306,6 @@ def test_what_only_the_held_out_recording_shows_is_looked_for_there(model, acqui
     found = diagnose(model, slight, wide, heldout_is_test=True, baseline=BASELINE)
     assert [item.term for item in found.missing] == ["sensor_nonlinearity"]
     assert found.after.rmse < 1.3 * found.after.noise_floor
-    # every other quarter of the held-out recording is all that is judged on
+    # every other quarter of the held-out recording is all that is judged on, and that is said
     assert len(found.after.recordings) == 2
+    assert "never comes there" in found.location.statement
