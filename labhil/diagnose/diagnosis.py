@@ -91,7 +91,7 @@ def diagnose(
     before = marked(model, base.theta)
     after = marked(model, found.final.theta) if found.missing else before
     more = unexplained(data, left) or _excess(after) > (MISNAMED if found.missing else SURELY)
-    found, beyond = _beyond(data, found, left) if more else (found, None)
+    found, beyond = _beyond(data, found) if more else (found, None)
     after = marked(*_accepted(model, found, beyond)) if more else after
     excess, claims = _doubts(model, after, found, beyond)
     final = _rows(found) if beyond is None else beyond.rows
@@ -177,18 +177,18 @@ def _on_shorter_windows(data: Data, found: Found, before: Score, after: Score) -
     return data.judge(found.baseline.theta)[0], data.judge(found.final.theta)[0]
 
 
-def _beyond(data: Data, found: Found, left: FloatArray) -> tuple[Found, Unmodelled | None]:
+def _beyond(data: Data, found: Found) -> tuple[Found, Unmodelled | None]:
     """A force that no named term explains, and what was found without the terms that it makes needless.
 
-    Where a curve is the answer, or none is and most of the excess is still ``left`` (c,), named terms only
-    stood in for something else.
+    Where a curve is the answer, or none is and most of the excess is still there, named terms only stood in
+    for something else.
     """
     beyond = _curve(data, found.final)
     if not found.missing:
         return found, beyond
     nothing = replace(found, final=found.baseline, missing=(), rivals=())
     if beyond is None:
-        return (nothing if stands_in(left_by(data, found.baseline), left) else found), None
+        return (nothing if stands_in(found.baseline, found.final) else found), None
     alone = _curve(data, found.baseline)
     effective = effective_samples(beyond.fit)
     if alone is None:

@@ -108,7 +108,11 @@ def clipped(x: FloatArray) -> tuple[float, ...]:
         at = y == top
         if at.sum() < (FEWEST_PILED if step else SHORTEST) or at.all():
             continue
-        if _noise_at_rest(x, step, _runs_at(at)) <= 0.0:
+        runs = _runs_at(at)
+        # a channel that has not moved yet: uneven stamps make its motion afterwards look noisy
+        if len(runs.first) == 1 and runs.first[0] == 0:
+            continue
+        if _noise_at_rest(x, step, runs) <= 0.0:
             continue
         near = [int(np.sum(np.abs(top - k * step - y) < 0.5 * step)) for k in (1, 2, 3)] if step else [1]
         if at.sum() > PILED * max(near):

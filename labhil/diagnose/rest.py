@@ -64,7 +64,7 @@ def unexplained(data: Data, left: FloatArray) -> bool:
     return bool(np.max(left) > limit)
 
 
-def stands_in(before: FloatArray, after: FloatArray) -> bool:
-    """Whether what was found explains less than half of the excess that the baseline left (…, c)."""
-    excess = float(np.sum(before**2 - 1.0))
-    return float(np.sum(before**2 - after**2)) < STANDS_IN * excess
+def stands_in(baseline: Fitted, final: Fitted) -> bool:
+    """Whether what was found explains less than half of the excess that the baseline leaves of the search."""
+    before, after = baseline.noise**2, final.noise**2
+    return before - after < STANDS_IN * (before - 1.0)

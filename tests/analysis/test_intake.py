@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from labhil.campaign.benchmark.arm import arm
 from labhil.campaign.benchmark.cases import STEP, driven, held_ball, levels
 from labhil.campaign.benchmark.noise import noise_like
+from labhil.diagnose.frozen import clipped
 from labhil.diagnose.intake import Fault, Kind, faults, usable
 from labhil.identify.windows import noise_of
 from labhil.physics.model import Record
@@ -229,3 +230,13 @@ def test_nothing_that_moves_is_said_but_is_no_fault_of_the_data(clean):
     assert {fault.kind for fault in found} == {Kind.NO_EXCITATION}
     assert len(found) == 2
     assert usable(still, found).fit
+
+
+def test_a_channel_that_has_not_moved_yet_is_not_clipped():
+    # a temperature without noise, sampled unevenly: its rise looks noisy, its beginning is flat
+    random = np.random.default_rng(3)
+    t = 0.005 * (np.arange(2000) + 0.1 * random.standard_normal(2000))
+    warm = 25.0 + np.maximum(t - 0.4, 0.0) ** 2
+    assert clipped(warm) == ()
+    noisy = np.minimum(warm + 0.02 * random.standard_normal(2000), 40.0)
+    assert clipped(noisy) == (40.0,)

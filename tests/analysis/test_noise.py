@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -64,8 +65,14 @@ def test_what_is_left_decides(model, still):
     data = Data(model, still, still, np.array([LEVEL]), np.array([LEVEL]), 1.5, start_theta(model, TRUTH))
     assert not unexplained(data, np.array([1.1]))
     assert unexplained(data, np.array([1.0, 1.3]))
-    assert stands_in(np.array([2.0]), np.array([1.8]))
-    assert not stands_in(np.array([2.0]), np.array([1.3]))
+
+
+def test_terms_that_leave_most_of_the_excess_stand_in_for_something_else():
+    def noise(level):
+        return SimpleNamespace(noise=level)
+
+    assert stands_in(noise(2.0), noise(1.8))
+    assert not stands_in(noise(2.0), noise(1.3))
 
 
 class Undamped:

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 
 from labhil.campaign.share import Share
 from labhil.campaign.trials.card import STRENGTH_BINS, Card
-from labhil.campaign.trials.judge import NONE
+from labhil.campaign.trials.judge import NONE, OUTSIDE, UNMODELLED
 from labhil.campaign.trials.show import last
 from labhil.physics.terms import unkeyed
 from labhil.report.figure import AFTER, BEFORE, MEASURED, figure_of, finish, save
@@ -42,7 +42,7 @@ def _draw_confusion(axes: Axes, card: Card) -> None:
         counts / np.maximum(counts.sum(axis=1, keepdims=True), 1), cmap="Greens", vmax=1.6, aspect="auto"
     )
     for i, j in zip(*np.nonzero(counts), strict=True):
-        right = rows[i] == columns[j]
+        right = _right(rows[i], columns[j])
         axes.text(
             j, i, str(counts[i, j]), ha="center", va="center", color="k" if right else BEFORE, fontsize=8
         )
@@ -56,6 +56,11 @@ def _named(true: str, named: str) -> str:
     """What is drawn for a name beside the truth."""
     same = unkeyed(true)[0] == unkeyed(named)[0]
     return OTHER_JOINT if same and true != named else unkeyed(named)[0]
+
+
+def _right(true: str, named: str) -> bool:
+    """What is outside the catalogue has no name of its own."""
+    return true == named or (true == OUTSIDE and named.startswith(UNMODELLED))
 
 
 def _words(name: str) -> str:
@@ -74,6 +79,7 @@ def _draw_strength(axes: Axes, card: Card) -> None:
     axes.set_xticks(STRENGTH_BINS[1:-1], [f"{strength:g}" for strength in STRENGTH_BINS[1:-1]])
     axes.minorticks_off()
     finish(axes, "Against the strongest effect's strength", "RMSE without it over the noise floor", "share")
+    axes.legend(fontsize=8, framealpha=0.8, edgecolor="none")
 
 
 def _draw_reliability(axes: Axes, card: Card) -> None:

@@ -9,6 +9,9 @@ from labhil.campaign.trials.card import Card
 from labhil.campaign.trials.judge import NONE, UNMODELLED
 from labhil.physics.terms import unkeyed
 
+SIDE_BY_SIDE = 6
+"""Names that fit beside each other; more are told one pair a line, and drawn."""
+
 
 def show(card: Card, console: Console) -> None:
     """Print all figures; shares with two-sided 95 % Clopper-Pearson limits in per cent."""
@@ -44,10 +47,10 @@ def lines(card: Card) -> list[str]:
 
 
 def _confusion(card: Card) -> Table:
-    if any(unkeyed(name)[1] is not None for pair in card.confusion for name in pair):
+    named = sorted({name for _, name in card.confusion}, key=last)
+    if len(named) > SIDE_BY_SIDE or any(unkeyed(n)[1] is not None for pair in card.confusion for n in pair):
         return _pairs(card)
     table = _table("What is there (rows), what was named (columns)", "")
-    named = sorted({name for _, name in card.confusion}, key=last)
     for name in named:
         table.add_column(name.replace("_", " "), justify="right")
     for true in sorted({true for true, _ in card.confusion}, key=last):
