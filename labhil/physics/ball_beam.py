@@ -12,6 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from labhil.physics import input_path, rolling
+from labhil.physics.driven import lagged
 from labhil.physics.extra_force import ExtraForce
 from labhil.physics.friction_terms import friction_terms
 from labhil.physics.model import Metric, Record, Windows, index_of, start_values
@@ -308,11 +309,7 @@ class BallBeamModel:
         x = x * (1.0 + gain) if gain else x
         x = x + self._value(theta, "sensor_offset.offset")
         time_constant = self._value(theta, "sensor_lag.time_constant")
-        if not time_constant:
-            return x
-        edges = np.flatnonzero(np.diff(windows.owner)) + 1
-        pieces = zip(np.split(record.t[windows.rows], edges), np.split(x, edges), strict=True)
-        return np.concatenate([input_path.first_order_lag(t, part, time_constant) for t, part in pieces])
+        return lagged(record, windows, x, time_constant) if time_constant else x
 
 
 KERNEL_PLACES = {
