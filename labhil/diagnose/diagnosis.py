@@ -183,6 +183,8 @@ def _beyond(data: Data, found: Found) -> tuple[Found, Unmodelled | None]:
     Where a curve is the answer, or none is and most of the excess is still there, named terms only stood in
     for something else.
     """
+    if not data.model.state_names:
+        return found, None  # an arm takes no further force, and each joint has an excess of its own
     beyond = _curve(data, found.final)
     if not found.missing:
         return found, beyond
