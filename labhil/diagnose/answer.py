@@ -103,7 +103,8 @@ class Curve:
 class Diagnosis:
     """The answer. ``data`` is "test" or "heldout"; scores are on data that the search never saw.
 
-    ``faults`` are those of the data, whether or not they make them unfit. ``shorter`` are scores before and
+    ``faults`` are those of the data, whether or not they make them unfit. ``wider`` says that scores are on
+    parts of what was held out, and that the parts between were searched; ``shorter`` are scores before and
     after on windows as short as the search's, where the answer only shows on those.
     """
 
@@ -130,3 +131,4 @@ class Diagnosis:
     curve: Curve | None
     seconds: float
     shorter: tuple[Score, Score] | None = None
+    wider: bool = False

@@ -123,6 +123,7 @@ def diagnose(
         curve=None if beyond is None else telling.curve(beyond),
         seconds=time.perf_counter() - began,
         shorter=_on_shorter_windows(data, found, before, after),
+        wider=wider,
     )
 
 

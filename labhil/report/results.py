@@ -168,6 +168,8 @@ def _improvement(diagnosis: Diagnosis) -> dict[str, Any]:
     before, after = diagnosis.before, diagnosis.after
     stated: dict[str, Any] = {"data": diagnosis.data, "metric": after.metric.value}
     stated |= {"horizon": after.horizon, **_before_and_after(before, after)}
+    if diagnosis.wider:
+        stated["parts"] = True
     if diagnosis.shorter is not None:
         shorter = diagnosis.shorter
         stated["shorter_windows"] = {"horizon": shorter[1].horizon, **_before_and_after(*shorter)}

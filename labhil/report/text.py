@@ -239,8 +239,9 @@ def _improvement(diagnosis: Diagnosis) -> Iterator[RenderableType]:
     before, after = diagnosis.before, diagnosis.after
     name = "the test recording" if diagnosis.data == "test" else "held-out data"
     yield score_table([("before", before), ("after", after)])
+    where = f"the parts of {name} that" if diagnosis.wider else f"{name}, which"
     yield Text(
-        f"On {name}, which the search never saw: RMSE {before.rmse:.4g} → {after.rmse:.4g}, "
+        f"On {where} the search never saw: RMSE {before.rmse:.4g} → {after.rmse:.4g}, "
         f"noise floor {after.noise_floor:.4g}; R² {percent(before.r2, '')} → {percent(after.r2)}."
     )
     if diagnosis.shorter is not None:

@@ -208,6 +208,7 @@ def test_the_truth_leaves_noise_as_it_is_known(null):
 
 
 @pytest.mark.extended
+@pytest.mark.timeout(400)
 def test_three_trials_of_an_arm_from_drawing_to_score(tmp_path):
     """A null, an effect of one joint, a payload."""
     cards = {}

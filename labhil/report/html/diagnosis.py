@@ -210,15 +210,17 @@ def _improvement(better: ImprovementPart | None, pictures: Sequence[Markup]) -> 
 
 
 def _scored(better: ImprovementPart) -> str:
-    many = len(better.per_recording) > 1
+    many = len(better.per_recording) > 1 and not better.parts
     if better.data == "test":
         data = "the test recordings" if many else "the test recording"
     else:
         data = "the held-out end of each recording" if many else "the held-out end of the recording"
+    unseen = f"the parts of {data} that" if better.parts else f"{data}, which"
     if better.metric == "inverse_dynamics":
-        return f"Scored by inverse dynamics on {data}, which the search never saw."
-    horizon = quantity(better.horizon, "s")
-    return f"Scored by simulating windows of {horizon} of {data}, which the search never saw."
+        return f"Scored by inverse dynamics on {unseen} the search never saw."
+    return (
+        f"Scored by simulating windows of {quantity(better.horizon, 's')} of {unseen} the search never saw."
+    )
 
 
 def _channel(channel: ChannelImprovement, metric: str, recording: int | None = None) -> list[Content]:

@@ -270,9 +270,13 @@ class RecordingImprovement(Part):
 
 
 class ImprovementPart(Part):
-    """How much better the final model predicts data that the search never saw."""
+    """How much better the final model predicts data that the search never saw.
+
+    ``parts``: of a recording of which it saw the parts between.
+    """
 
     data: str = "heldout"
+    parts: bool = False
     metric: str = "windowed_simulation"
     horizon: Number = None
     rmse_before: Number
