@@ -5,8 +5,8 @@ more terms there are and the more is left unexplained. So the probability that a
 its listed rivals) is right is a logistic function of three things that a diagnosis knows of itself. Its
 weights were fitted, with a ridge of 0.1, to 114 claims about some 90 development trials with effects and the
 nulls beside them of axis, solenoid, ball and beam and DC motor (``labhil trial make``, seeds 1001, 2002 and
-2003), of which 80 % were right. What is stated is scored on other trials. Of an arm, where each joint makes claims of its own
-and real ones never reach the floor, evidence alone counts.
+2003), of which 80 % were right. What is stated is scored on other trials. Of an arm, where each joint makes
+claims of its own and real ones never reach the floor, evidence alone counts.
 """
 
 from __future__ import annotations
