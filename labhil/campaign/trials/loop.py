@@ -13,6 +13,12 @@ Range = tuple[float, float]
 SLOPE_LAG = 0.03
 """Time constant (s) of the controllers' derivative."""
 
+FADED_IN = 0.02
+"""Share of a recording in which an excitation grows from its centre to its full size.
+
+No recording says what stood in a limiter or a lag before it began.
+"""
+
 
 @dataclass(frozen=True, slots=True)
 class Controller:
@@ -60,6 +66,12 @@ def levels(t: FloatArray, loop: Loop, random: np.random.Generator) -> FloatArray
 
 
 EXCITATIONS = {"multisine": multisine, "levels": levels}
+
+
+def excitation_of(sort: str, t: FloatArray, loop: Loop, random: np.random.Generator) -> FloatArray:
+    """An excitation of that sort at the times ``t`` (n,), s from 0, faded in."""
+    size = np.minimum(t / (FADED_IN * t[-1]), 1.0)
+    return np.asarray(loop.centre + size * (EXCITATIONS[sort](t, loop, random) - loop.centre))
 
 
 class Law:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from labhil.campaign.trials.loop import EXCITATIONS, Law, Loop, Range
+from labhil.campaign.trials.loop import EXCITATIONS, Law, Loop, Range, excitation_of
 from labhil.campaign.trials.noise import TrueNoise
 from labhil.campaign.trials.secret import Drawn, Secret, Walk
 from labhil.campaign.trials.sizes import drawn_size, power_of, spread
@@ -231,7 +231,7 @@ class OneInputSetup:
         plant = plant_of(bench.kind, given, secret.terms, seed, bench.period)
         loop = bench.loops[made.loop]
         t: FloatArray = bench.period * np.arange(n + 1, dtype=np.float64)
-        excitation = EXCITATIONS[made.excitation](t, loop, np.random.default_rng([seed, 1]))
+        excitation = excitation_of(made.excitation, t, loop, np.random.default_rng([seed, 1]))
         law = Law(loop.controller, bench.period)
         if commands is None and not loop.closed:
             commands = np.array([law.command(value, 0.0) for value in excitation.tolist()])
