@@ -44,7 +44,7 @@ def credence(evidence: Evidence, excess: float, claims: int) -> float:
 def share(delta_bic: float, rivals: Sequence[Rival]) -> float:
     """What of that belongs to one of those that might be it: exp(−ΔBIC/2) over the sum of all.
 
-    The named term itself is at zero. A rival that the search data prefer and the others do not is no better.
+    The named term itself is at zero. A rival that was left for another way is no better.
     """
     total = 1.0 + sum(np.exp(-0.5 * max(rival.delta_bic, 0.0)) for rival in rivals)
     return float(np.exp(-0.5 * max(delta_bic, 0.0)) / total)

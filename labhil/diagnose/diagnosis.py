@@ -29,7 +29,7 @@ from labhil.identify.statistics import Estimate, stated, with_error
 from labhil.identify.table import table_of
 from labhil.identify.windows import noise_of, told_apart
 from labhil.physics.model import Metric, Model, Record, index_of, terms_named
-from labhil.physics.terms import unkeyed
+from labhil.physics.terms import Enters, unkeyed
 from labhil.signals import FloatArray
 
 SEARCH_WINDOW_IN_HORIZONS = 0.375
@@ -40,6 +40,9 @@ SURELY, MISNAMED = 2.5, 1.5
 
 The floor of a few windows is not well known: each has only one error of its initial state.
 """
+
+DOUBTFUL = 1.05
+"""The same from which on named forces are compared with a curve in their place."""
 
 LASTS = 1.1
 """Factor by which noise as the baseline leaves it must differ from that of single samples to count."""
@@ -91,8 +94,8 @@ def diagnose(
     before = marked(model, base.theta)
     after = marked(model, found.final.theta) if found.missing else before
     more = unexplained(data, left) or _excess(after) > (MISNAMED if found.missing else SURELY)
-    found, beyond = _beyond(data, found) if more else (found, None)
-    after = marked(*_accepted(model, found, beyond)) if more else after
+    found, beyond = _without_a_name(data, found, after, more=more)
+    after = marked(*_accepted(model, found, beyond)) if more or beyond is not None else after
     excess, claims = _doubts(model, after, found, beyond)
     final = _rows(found) if beyond is None else beyond.rows
     changed = _changes(final, reference)
@@ -178,6 +181,21 @@ def _on_shorter_windows(data: Data, found: Found, before: Score, after: Score) -
     return data.judge(found.baseline.theta)[0], data.judge(found.final.theta)[0]
 
 
+def _without_a_name(data: Data, found: Found, after: Score, *, more: bool) -> tuple[Found, Unmodelled | None]:
+    """What was found, less what a curve explains better, and the curve.
+
+    Where ``more`` than noise is left one is looked for; where hardly any is, one may still show that named
+    forces only imitate it.
+    """
+    if more:
+        return _beyond(data, found)
+    terms = data.model.terms
+    imitable = any(terms[step.terms[0]].enters is Enters.FORCE for step in found.missing)
+    if imitable and data.model.state_names and _excess(after) > DOUBTFUL:
+        return _or_curve(data, found)
+    return found, None
+
+
 def _beyond(data: Data, found: Found) -> tuple[Found, Unmodelled | None]:
     """A force that no named term explains, and what was found without the terms that it makes needless.
 
@@ -189,15 +207,31 @@ def _beyond(data: Data, found: Found) -> tuple[Found, Unmodelled | None]:
     beyond = _curve(data, found.final)
     if not found.missing:
         return found, beyond
-    nothing = replace(found, final=found.baseline, missing=(), rivals=())
     if beyond is None:
-        return (nothing if stands_in(found.baseline, found.final) else found), None
+        found, alone = _or_curve(data, found)
+        stood_in = alone is None and stands_in(found.baseline, found.final)
+        return (_nothing(found) if stood_in else found), alone
     alone = _curve(data, found.baseline)
-    effective = effective_samples(beyond.fit)
     if alone is None:
         return found, beyond
+    effective = effective_samples(beyond.fit)
     marks = [bic(each.fit, effective, each.degrees) for each in (alone, beyond)]
-    return (found, beyond) if marks[0] > marks[1] else (nothing, alone)
+    return (found, beyond) if marks[0] > marks[1] else (_nothing(found), alone)
+
+
+def _or_curve(data: Data, found: Found) -> tuple[Found, Unmodelled | None]:
+    """What was found, or a curve alone where that has very strong evidence over the named terms."""
+    alone = _curve(data, found.baseline)
+    if alone is None:
+        return found, None
+    effective = effective_samples(alone.fit)
+    better = bic(alone.fit, effective, alone.degrees) - bic(found.final, effective)
+    return (_nothing(found), alone) if better < NEEDED_BIC else (found, None)
+
+
+def _nothing(found: Found) -> Found:
+    """The same without what was found."""
+    return replace(found, final=found.baseline, missing=(), rivals=())
 
 
 def _curve(data: Data, final: Fitted) -> Unmodelled | None:
@@ -254,9 +288,9 @@ def _simpler(free: Found, held: Found) -> Found:
 
 
 def _excited(record: Record, sigma: np.ndarray) -> bool:
-    """Whether outputs move beyond their noise and the input moves at all."""
+    """Whether some output moves beyond its noise and the input moves at all."""
     return any(
-        bool((np.std(each.outputs, axis=0) > 5.0 * sigma).all() and np.std(each.inputs[:, 0]) > 0)
+        bool((np.std(each.outputs, axis=0) > 5.0 * sigma).any() and np.std(each.inputs[:, 0]) > 0)
         for each in record.recordings()
     )
 

@@ -26,11 +26,19 @@ def confirm(
     groups: Sequence[tuple[str, ...]],
     executor: Executor,
     hopeless: float = float("inf"),
+    beside: Fitted | None = None,
 ) -> list[Fitted]:
-    """Refit candidates, best first by BIC: a few steps each, and to the end where that promises most."""
+    """Refit candidates, best first by BIC: a few steps each, and to the end where that promises most.
+
+    They begin at ``current``, and at ``beside`` as well, a model whose place they may take: there the other
+    parameters have not made up yet for what is missing.
+    """
 
     def scout(group: tuple[str, ...]) -> Fitted:
-        return refit(data, current, (*current.terms, *group), group, hopeless=0.0, tolerance=ROUGHLY)
+        terms = (*current.terms, *group)
+        begins = [current] if beside is None else [current, beside]
+        scouts = [refit(data, begin, terms, group, hopeless=0.0, tolerance=ROUGHLY) for begin in begins]
+        return min(scouts, key=lambda found: found.solution.cost)
 
     def finish(trial: Fitted) -> Fitted:
         if trial.solution.converged or trial.solution.cost > hopeless:

@@ -120,6 +120,8 @@ def profile_interval(
     threshold = reach**2 * inflation * solution.cost / dof
     along = covariance[:, j] / covariance[j, j]
     error = float(np.sqrt(inflation * covariance[j, j]))
+    if problem.model.parameters[problem.free[j]].in_steps:
+        error = max(error, problem.step[j])  # the slope within a step says nothing of its width
     path = _path_of(problem, j, along)
     ends = [
         _crossing(problem, solution, j, path, side * reach * error, threshold) * problem.scale[j]

@@ -20,6 +20,9 @@ SHAKES = 4
 SAME = 0.3
 """Costs that differ by less, in mean squared residuals (at least in squares of noise), are one minimum."""
 
+DAMPING = 1e-3
+"""Of the first step, in diagonals of the normal equations."""
+
 MOST_DAMPING = 1e4
 """A step as short as this lets nobody come any lower."""
 
@@ -68,7 +71,7 @@ def least_squares(
         begun = tried(problem, z, fit_states(problem, z, start.states))
     begun = rescued_states(problem, z, begun) if thorough else begun
     point, residuals = Point(z, begun.states), begun.residuals
-    damping = 1e-3
+    damping = DAMPING
     for iteration in range(iterations):
         cost = float(residuals @ residuals)
         found = _lower(problem, point, residuals, damping, tolerance)
@@ -124,7 +127,7 @@ def _rescued(problem: Problem, point: Point, residuals: FloatArray) -> tuple[Poi
     """The same parameters with better states of outlying windows, or None when there are none."""
     rescued = rescued_states(problem, point.z, States(point.states, residuals))
     if rescued.residuals @ rescued.residuals < 0.999 * (residuals @ residuals):
-        return Point(point.z, rescued.states), rescued.residuals, 1e-3
+        return Point(point.z, rescued.states), rescued.residuals, DAMPING
     return None
 
 
@@ -154,10 +157,13 @@ def _lower(
 def _step(problem: Problem, point: Point, lin: Linearised, damping: float) -> tuple[Point, float]:
     """One damped Gauss-Newton step, and by how much it promises to lower the cost.
 
-    Parameters that press against a bound stay there.
+    After a first step that failed, states are damped as parameters are: where a window is far off, its whole
+    step leads nowhere however short that of the parameters is. Parameters that press against a bound stay
+    there.
     """
-    z = _parameter_step(problem, point, lin, damping)
-    gram = problem.state_gram(lin.by_states)
+    of_states = damping if damping > DAMPING else 0.0
+    z = _parameter_step(problem, point, lin, damping, of_states)
+    gram = problem.state_gram(lin.by_states, np.full(len(point.states), of_states))
     remaining = lin.residuals + lin.by_parameters @ (z - point.z)
     pull = problem.per_window(lin.by_states * remaining[:, None])
     states = np.linalg.solve(gram, pull[:, :, None])[:, :, 0]
@@ -166,13 +172,14 @@ def _step(problem: Problem, point: Point, lin: Linearised, damping: float) -> tu
     return Point(z, point.states - states * problem.model.state_scale), promised
 
 
-def _parameter_step(problem: Problem, point: Point, lin: Linearised, damping: float) -> FloatArray:
+def _parameter_step(
+    problem: Problem, point: Point, lin: Linearised, damping: float, of_states: float
+) -> FloatArray:
     if not len(point.z):
         return point.z
-    both = problem.project(lin, np.column_stack([lin.by_parameters, lin.residuals]))
-    jacobian, residuals = both[:, :-1], both[:, -1]
-    gradient = jacobian.T @ residuals
-    normal = jacobian.T @ jacobian
+    both = problem.project(lin, np.column_stack([lin.by_parameters, lin.residuals]), of_states)
+    gradient = lin.by_parameters.T @ both[:, -1]
+    normal = lin.by_parameters.T @ both[:, :-1]
     diagonal = np.diag(normal)
     normal = normal + np.diag(damping * diagonal + 1e-9 * diagonal.max() + 1e-12)
     pressed = ((point.z <= problem.lower) & (gradient > 0)) | ((point.z >= problem.upper) & (gradient < 0))

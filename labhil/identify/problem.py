@@ -158,11 +158,11 @@ class Problem:
         diagonal += 1e-9 * diagonal.max(axis=1, keepdims=True) + 1e-12
         return gram
 
-    def project(self, lin: Linearised, columns: FloatArray) -> FloatArray:
-        """Take out of ``columns`` (N·c, k) what the windows' own states could explain."""
+    def project(self, lin: Linearised, columns: FloatArray, damping: float = 0.0) -> FloatArray:
+        """Take out of ``columns`` (N·c, k) what the windows' own states, so much damped, could explain."""
         if not lin.by_states.shape[1]:
             return columns
-        gram = self.state_gram(lin.by_states)
+        gram = self.state_gram(lin.by_states, np.full(len(self.edges), damping))
         mixed = self.per_window(lin.by_states[:, :, None] * columns[:, None, :])
         share = np.linalg.solve(gram, mixed)
         return np.asarray(columns - np.einsum("ns,nsk->nk", lin.by_states, share[self.owner]))

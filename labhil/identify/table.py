@@ -87,7 +87,8 @@ def _is_open(row: statistics.Estimate, parameter: Parameter, reach: float) -> bo
     """Whether the interval spans orders of magnitude, or far more than curvature says."""
     low, high = row.ci99
     size = parameter.term is None and parameter.lower > 0.0
-    return (size and high > ORDERS * low) or high - low > FLAT * 2.0 * reach * row.std_error
+    flat = not parameter.in_steps and high - low > FLAT * 2.0 * reach * row.std_error
+    return (size and high > ORDERS * low) or flat
 
 
 def _intervals(
@@ -110,8 +111,8 @@ def _intervals(
         ends = bootstrap_intervals(
             jacobian, solution.residuals, values, fitted.dof, reach, begins=tuple(begins)
         )
-    elif method is not Intervals.WALD:
-        followed = np.isfinite(errors) & (_bent(fitted, errors) if method is Intervals.AUTO else True)
+    followed = np.isfinite(errors) & _followed(fitted, errors, method)
+    if np.any(followed):
         profiles = _profiles(fitted, followed, jacobian, inflation, reach)
         parameters = [problem.model.parameters[i] for i in problem.free]
         ends = [
@@ -170,13 +171,24 @@ def _hull(one: Interval, other: Interval | None) -> Interval:
     return one if other is None else (min(one[0], other[0]), max(one[1], other[1]))
 
 
-def _bent(fitted: Fitted, errors: FloatArray) -> np.ndarray:
+def _followed(fitted: Fitted, errors: FloatArray, method: Intervals) -> np.ndarray:
+    """Which free parameters get a profile, (P,) of bool: by their ``errors`` (P,), SI, by the method, or all.
+
+    Where a simulation goes in steps no slope tells an interval, whatever the method.
+    """
+    parameters = [fitted.problem.model.parameters[i] for i in fitted.problem.free]
+    in_steps = np.array([p.in_steps for p in parameters], dtype=bool)
+    if method is Intervals.AUTO:
+        return in_steps | _bent(fitted, errors, parameters)
+    return np.full(len(parameters), method is Intervals.PROFILE) | (in_steps & (method is Intervals.WALD))
+
+
+def _bent(fitted: Fitted, errors: FloatArray, parameters: list[Parameter]) -> np.ndarray:
     """Which free parameters have a cost that is no parabola, (P,) of bool.
 
     Those of a term with a shape, and sizes that cannot be zero and are poorly known (``errors``, SI).
     """
     model, free = fitted.problem.model, fitted.problem.free
-    parameters = [model.parameters[i] for i in free]
     shaped = {key for key, term in model.terms.items() if any(p.shape for p in term.parameters)}
     of_shape = np.array([p.term in shaped for p in parameters], dtype=bool)
     is_size = np.array([p.term is None and p.lower > 0.0 for p in parameters], dtype=bool)

@@ -44,8 +44,9 @@ class Parameter:
     which slopes are taken: wide where the simulation has kinks close to each other. ``shape`` marks a
     parameter that has no meaning while its term's level is zero (Stribeck velocity): while the term
     is absent it stays at ``scale``. ``linear`` says that the simulated outputs are affine in it, so
-    that an estimator may project it out. ``joint`` (from 0) tells apart the same law of several joints,
-    ``recording`` (from 1) what has a value of its own in each of several recordings.
+    that an estimator may project it out, ``in_steps`` that they change with it in steps, so that only
+    wide differences tell slopes and a profile its interval. ``joint`` (from 0) tells apart the same law of
+    several joints, ``recording`` (from 1) what has a value of its own in each of several recordings.
     """
 
     name: str
@@ -59,6 +60,7 @@ class Parameter:
     step: float = 1e-4
     shape: bool = False
     linear: bool = False
+    in_steps: bool = False
     joint: int | None = None
     recording: int | None = None
 
@@ -85,7 +87,8 @@ class Term:
 
     ``needs`` are channels without which the data cannot speak of it; ``revealed_by`` is the
     excitation that shows it; ``with_terms`` are the keys of terms that it builds on (Stribeck on
-    Coulomb): they are tried together as well as alone.
+    Coulomb): they are tried together as well as alone. ``narrow`` is the key of the term that it becomes
+    at the lower end of its shape (a Stribeck peak of no width is a mere hold), "" where there is none.
     """
 
     name: str
@@ -98,6 +101,7 @@ class Term:
     needs: tuple[str, ...] = ()
     with_terms: tuple[str, ...] = field(default=())
     joint: int | None = None
+    narrow: str = ""
 
     @property
     def key(self) -> str:

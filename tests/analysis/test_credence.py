@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from labhil.diagnose.credence import credence, share
-from labhil.diagnose.evidence import Evidence
+from labhil.diagnose.evidence import Evidence, Left, unlikelier
 from labhil.diagnose.found import Rival
 from labhil.identify.table import _wide_enough
 from labhil.physics.terms import Parameter
@@ -42,3 +43,13 @@ def test_a_profile_that_ends_at_an_edge_reaches_as_far_as_curvature_says():
     assert _wide_enough((0.9, 1.1), (0.85, 1.15), free) == (0.85, 1.15)
     assert _wide_enough((0.7, 1.6), (0.8, 1.2), free) == (0.7, 1.6)
     assert _wide_enough((0.9, 1.1), (-1.0, 3.0), free) == (0.2, 3.0)
+
+
+def test_data_speak_by_as_many_samples_as_their_residuals_are_worth():
+    white = np.random.default_rng(1).standard_normal((4000, 1))
+    before, after = Left(white, (0,)), Left(1.1 * white, (0,))
+    assert unlikelier(before, after) == pytest.approx(4000 * 2.0 * np.log(1.1), rel=0.1)
+    lasting = Left(np.repeat(white[::4], 4, axis=0), (0,))
+    louder = Left(1.1 * lasting.residuals, (0,))
+    assert 0.0 < unlikelier(lasting, louder) < 0.3 * unlikelier(before, after)
+    assert unlikelier(after, before) < 0.0

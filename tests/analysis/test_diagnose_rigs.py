@@ -93,6 +93,25 @@ def test_what_is_concealed_is_named_located_and_modelled(kind, concealed, enters
 
 
 @pytest.mark.extended
+def test_a_hold_without_width_is_no_stribeck_peak():
+    found = diagnosed("axis", ("static_friction",), {"static_friction.level": 15.0})
+    assert [item.term for item in found.missing] == ["static_friction"]
+    (row,) = found.missing[0].parameters
+    assert row.ci99[0] < 15.0 < row.ci99[1]
+
+
+@pytest.mark.extended
+def test_what_others_build_on_is_not_told_where_it_is_hardly_there():
+    found = diagnosed(
+        "dc_motor",
+        ("stribeck_friction",),
+        {"stribeck_friction.level": 0.1, "stribeck_friction.velocity": 3.0},
+    )
+    assert [item.term for item in found.missing] == ["stribeck_friction"]
+    assert "coulomb_friction" in found.final_terms
+
+
+@pytest.mark.extended
 def test_play_in_a_drive_is_named_though_its_size_is_not_found_to_the_noise():
     """Long windows of a drive with play have minima of their own: the answer stands on short ones."""
     found = diagnosed("axis", ("backlash",))
