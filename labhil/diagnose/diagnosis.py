@@ -254,9 +254,9 @@ def _simpler(free: Found, held: Found) -> Found:
 
 
 def _excited(record: Record, sigma: np.ndarray) -> bool:
-    """Whether outputs move beyond their noise and the input moves at all."""
+    """Whether some output moves beyond its noise and the input moves at all."""
     return any(
-        bool((np.std(each.outputs, axis=0) > 5.0 * sigma).all() and np.std(each.inputs[:, 0]) > 0)
+        bool((np.std(each.outputs, axis=0) > 5.0 * sigma).any() and np.std(each.inputs[:, 0]) > 0)
         for each in record.recordings()
     )
 

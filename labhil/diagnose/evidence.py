@@ -33,6 +33,17 @@ class Evidence:
     heldout_loglik_gain: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Left:
+    """What a model leaves (N, c) of data in whose windows only states were fitted, in units of their noise.
+
+    Recordings begin at the rows ``begins``.
+    """
+
+    residuals: FloatArray
+    begins: tuple[int, ...]
+
+
 def effective_samples(fitted: Fitted) -> float:
     """How many independent residuals those of a fit are worth."""
     return independent(_channels(fitted), fitted.problem.begins)
@@ -56,6 +67,12 @@ def bic(fitted: Fitted, effective: float, degrees: float | None = None) -> float
     """
     free = len(fitted.problem.free) if degrees is None else degrees
     return float(effective * _log_power(fitted) + free * np.log(effective))
+
+
+def unlikelier(before: Left, after: Left) -> float:
+    """How much less likely data are after than before, −2 times the logarithm; no parameter was fitted."""
+    powers = [np.maximum(np.mean(each.residuals**2, axis=0), 1e-300) for each in (before, after)]
+    return float(independent(before.residuals, before.begins) * np.mean(np.log(powers[1] / powers[0])))
 
 
 def search_p_value(before: Fitted, after: Fitted, effective: float, looks: int) -> float:

@@ -8,10 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from labhil.diagnose.evidence import Evidence, best_heldout_gain, bic, effective_samples, search_p_value
+from labhil.diagnose.evidence import (
+    Evidence,
+    Left,
+    best_heldout_gain,
+    bic,
+    effective_samples,
+    search_p_value,
+    unlikelier,
+)
 from labhil.identify.fitted import Fitted
+from labhil.identify.problem import begins_among
 from labhil.identify.score import Score, score
-from labhil.physics.model import Model, Record
+from labhil.identify.window_states import held_at
+from labhil.identify.windows import fit_windows
+from labhil.physics.model import Model, Record, Windows
 from labhil.signals import FloatArray
 
 NEEDED_BIC = -10.0
@@ -62,6 +73,23 @@ class Data:
             longest = min(self.model.horizon, self.test.countable)
             lengths = (*(share * length for share in JUDGED_SHARES), longest)
         return tuple(score(self.model, theta, self.test, self.test_sigma, length) for length in lengths)
+
+    def left(self, theta: FloatArray) -> Left:
+        """What a vector leaves of the held-out data on windows as long as those of the search."""
+        length = min(self.window, self.test.longest)
+        windows = fit_windows(self.test, length) if self.model.state_names else Windows.of(self.test.spans)
+        found = held_at(self.model, theta, self.test, windows, self.test_sigma)
+        return Left(found.residuals.reshape(-1, len(self.test_sigma)), begins_among(self.test, windows))
+
+
+def odds(data: Data, before: Fitted, after: Fitted, left_before: Left) -> float:
+    """−2 times the log odds of ``after``: BIC of the search data, and the likelihood of the held-out ones.
+
+    ``left_before`` is what ``before`` leaves of these.
+    """
+    effective = effective_samples(before)
+    seen = bic(after, effective) - bic(before, effective)
+    return seen + unlikelier(left_before, data.left(after.theta))
 
 
 def compare(

@@ -12,9 +12,8 @@ from labhil.diagnose.curve import length_of
 from labhil.diagnose.judge import Data
 from labhil.identify.fitted import Fitted
 from labhil.identify.noise import Noise, lasting_noise
-from labhil.identify.problem import Point, Problem
 from labhil.identify.score import scored_horizon
-from labhil.identify.window_states import fit_states, rescue_states
+from labhil.identify.window_states import held_at
 from labhil.identify.windows import fit_windows, noise_of
 from labhil.physics.model import Metric, Model, Record, Windows
 from labhil.signals import FloatArray
@@ -36,11 +35,9 @@ def left_over(model: Model, theta: FloatArray, record: Record, noise: Noise, len
     """RMS (c,) of what a model leaves of each output, in units of its noise, windows ``length`` s long."""
     whole = model.metric is Metric.INVERSE_DYNAMICS
     windows = Windows.of(record.spans) if whole else fit_windows(record, length)
-    problem = Problem(model, record, windows, np.empty(0, dtype=np.int64), theta, noise.sigma)
-    none = np.empty(0)
-    states = rescue_states(problem, none, fit_states(problem, none, problem.guess))
-    squares = problem.residuals(Point(none, states)).reshape(-1, len(noise.sigma)) ** 2
-    return np.asarray(np.sqrt(squares.mean(axis=0) / (1.0 - states.size / squares.size)))
+    found = held_at(model, theta, record, windows, noise.sigma)
+    squares = found.residuals.reshape(-1, len(noise.sigma)) ** 2
+    return np.asarray(np.sqrt(squares.mean(axis=0) / (1.0 - found.states.size / squares.size)))
 
 
 def left_by(data: Data, fitted: Fitted) -> FloatArray:

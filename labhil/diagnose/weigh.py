@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
+from dataclasses import replace
 
 import numpy as np
 
-from labhil.diagnose.evidence import bic, effective_samples, heldout_gain
+from labhil.diagnose.evidence import bic, effective_samples
 from labhil.diagnose.found import Rival, Step, Trail
-from labhil.diagnose.judge import NEEDED_BIC, Data, compare, supported
+from labhil.diagnose.judge import NEEDED_BIC, Data, compare, odds, supported
 from labhil.diagnose.refit import FINALISTS, confirm, refit, without
 from labhil.diagnose.screen import Progress, Screen, candidates
 from labhil.identify.fitted import Fitted, covariances
 from labhil.identify.intervals import quantile
-from labhil.identify.score import Score
 from labhil.physics.model import index_of
+from labhil.signals import FloatArray
 
 RELEVANT, RELEVANT_BESIDE = 0.05, 0.5
 """A term has to explain this share of the baseline's squared residuals beyond noise, or this of what is left.
@@ -49,19 +50,34 @@ def swapped(
         absent = [group for group in candidates(data.model, reduced.terms) if term not in group]
         groups = [group for group in absent if group[-1] not in current.terms]
         groups = _hopeful(data, current, reduced, groups, executor, *(WEIGHED_WIDELY if widely else WEIGHED))
-        if not groups:
+        narrowed = _narrowed(data, current, term)
+        if not groups and not narrowed:
             continue
         progress(f"weighing {', '.join(group[-1] for group in groups)} instead of {term}")
-        effective, scores = effective_samples(current), data.judge(current.theta)
-        for trial in confirm(data, reduced, groups, executor, HOPELESS * current.solution.cost)[:FINALISTS]:
-            rival, delta = trial.terms[-1], bic(trial, effective) - bic(current, effective)
-            new = frozenset(trial.terms) not in trail.been
-            if new and _preferred(scores, data.judge(trial.theta), delta):
+        left = data.left(current.theta)
+        others = confirm(data, reduced, groups, executor, HOPELESS * current.solution.cost)[:FINALISTS]
+        for trial in [*narrowed, *others]:
+            rival, delta = trial.terms[-1], odds(data, current, trial, left)
+            if delta < 0.0 and frozenset(trial.terms) not in trail.been:
                 rivals.append(Rival(term, rival, -delta))
                 current = trial
                 break
             rivals.append(Rival(rival, term, delta))
     return current, tuple(r for r in rivals if abs(r.delta_bic) < RIVAL_BIC)
+
+
+def _narrowed(data: Data, current: Fitted, term: str) -> list[Fitted]:
+    """The model with what a found term becomes when its shape has no width, begun at that term's size."""
+    narrow = data.model.terms[term].narrow
+    if not narrow or narrow in current.terms:
+        return []
+    places = index_of(data.model.parameters)
+    theta = current.theta.copy()
+    size, own = (places[data.model.terms[key].parameters[0].key] for key in (narrow, term))
+    theta[size] = max(theta[own], 0.0)
+    return [
+        refit(data, replace(current, theta=theta), (*without(data.model, current.terms, term), narrow), ())
+    ]
 
 
 def _hopeful(
@@ -84,18 +100,19 @@ def _hopeful(
     return [groups[i] for i in np.argsort(promises)[::-1][:most] if promises[i] > wanted]
 
 
-def _preferred(before: Sequence[Score], after: Sequence[Score], delta_bic: float) -> bool:
-    """Whether search and held-out data together prefer ``after``: what the one cannot tell the other may."""
-    pairs = zip(before, after, strict=True)
-    most_telling = max((heldout_gain(b, a)[0] for b, a in pairs), key=abs)
-    return delta_bic - 2.0 * most_telling < 0.0
-
-
 def relevant(baseline: Fitted, before: Fitted, after: Fitted) -> bool:
-    """Whether a step explains enough of what the baseline leaves unexplained."""
-    at_first, left = (fitted.solution.cost - fitted.dof for fitted in (baseline, before))
-    needed = max(min(RELEVANT * at_first, RELEVANT_BESIDE * left), LEAST)
-    return before.solution.cost - after.solution.cost > needed
+    """Whether a step explains enough of what the baseline leaves unexplained of any output."""
+    squares = [_squares(fitted) for fitted in (baseline, before, after)]
+    at_first, left = (
+        own - fitted.dof / len(own) for own, fitted in zip(squares, (baseline, before), strict=False)
+    )
+    needed = np.maximum(np.minimum(RELEVANT * at_first, RELEVANT_BESIDE * left), LEAST)
+    return bool(np.any(squares[1] - squares[2] > needed))
+
+
+def _squares(fitted: Fitted) -> FloatArray:
+    """Squared residuals (c,) of each output, in those of its noise."""
+    return np.asarray(np.sum(fitted.solution.residuals.reshape(-1, len(fitted.problem.sigma)) ** 2, axis=0))
 
 
 def _significant(fitted: Fitted, term: str) -> bool:
@@ -138,12 +155,17 @@ def pruned(data: Data, current: Fitted, base: frozenset[str], progress: Progress
 def supported_only(
     data: Data, baseline: Fitted, final: Fitted, looks: int
 ) -> tuple[Fitted, tuple[Step, ...]]:
-    """Take out, weakest first, whatever search and held-out data do not both support in the last fit."""
+    """Take out, weakest first, whatever search and held-out data do not both support in the last fit.
+
+    What others build on stays for their sake: Stribeck friction on Coulomb friction of hardly any size.
+    """
     while True:
         steps = _steps_of(data, baseline, final, looks)
-        weak = [step for step in steps if not (step.told and supported(step.evidence, step.p_search))]
+        carriers = {t for term in final.terms for t in data.model.terms[term].with_terms}
+        firm = [step for step in steps if step.told and supported(step.evidence, step.p_search)]
+        weak = [step for step in steps if step not in firm and step.terms[0] not in carriers]
         if not weak:
-            return final, steps
+            return final, tuple(firm)
         final = refit(data, final, without(data.model, final.terms, weak[-1].terms[0]), (), thorough=True)
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labhil.identify.problem import Point, Problem
+from labhil.physics.model import Model, Record, Windows
 from labhil.signals import FloatArray, IntArray
 
 POLISH = 1
@@ -131,6 +132,13 @@ def rescued_states(problem: Problem, z: FloatArray, found: States) -> States:
 def rescue_states(problem: Problem, z: FloatArray, states: FloatArray) -> FloatArray:
     """:func:`rescued_states` of states (W, S) alone."""
     return rescued_states(problem, z, tried(problem, z, states)).states
+
+
+def held_at(model: Model, theta: FloatArray, record: Record, windows: Windows, sigma: FloatArray) -> States:
+    """A model held at ``theta`` on windows of a record, each beginning in the state that fits it best."""
+    problem = Problem(model, record, windows, np.empty(0, dtype=np.int64), theta, sigma)
+    none = np.empty(0)
+    return rescued_states(problem, none, tried(problem, none, fit_states(problem, none, problem.guess)))
 
 
 def _damped_states(

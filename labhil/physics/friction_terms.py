@@ -59,7 +59,12 @@ def friction_terms(force: str, length: str, level: float, speed: float) -> tuple
             "|F| ≤ F_c + F_st + F_hold at v = 0",
             "Coulomb's stiction as an event",
             "slow reversals with stops",
-            (Parameter("static_friction.level", force, level, 0.0, starts=(0.1,), of=Yardstick.DRIVE),),
+            (
+                # between two samples a held input does not change: the moment of breaking loose goes in steps
+                Parameter(
+                    "static_friction.level", force, level, 0.0, starts=(0.1,), of=Yardstick.DRIVE, step=0.05
+                ),
+            ),
         ),
         Term(
             "stribeck_friction",
@@ -90,6 +95,7 @@ def friction_terms(force: str, length: str, level: float, speed: float) -> tuple
                 ),
             ),
             with_terms=("coulomb_friction",),
+            narrow="static_friction",
         ),
         Term(
             "quadratic_viscous_friction",

@@ -85,7 +85,8 @@ class Term:
 
     ``needs`` are channels without which the data cannot speak of it; ``revealed_by`` is the
     excitation that shows it; ``with_terms`` are the keys of terms that it builds on (Stribeck on
-    Coulomb): they are tried together as well as alone.
+    Coulomb): they are tried together as well as alone. ``narrow`` is the key of the term that it becomes
+    at the lower end of its shape (a Stribeck peak of no width is a mere hold), "" where there is none.
     """
 
     name: str
@@ -98,6 +99,7 @@ class Term:
     needs: tuple[str, ...] = ()
     with_terms: tuple[str, ...] = field(default=())
     joint: int | None = None
+    narrow: str = ""
 
     @property
     def key(self) -> str:

@@ -113,7 +113,7 @@ def friction(sizes: Sizes, joint: int) -> tuple[Term, ...]:
              ("viscous friction that falls as the joint warms",
               "c(T) = c·exp(−α·(T − T_0)), T_0 the first temperature", "viscosity of grease",
               "long runs that warm the joints"),
-             Parameter("temperature_dependent_friction.rate", "1/K", 0.02, -0.2, 0.2, starts=(0.01,),
+             Parameter("temperature_dependent_friction.rate", "1/K", 0.02, -1.0, 1.0, starts=(0.01,),
                        joint=joint),
              needs=TEMPERATURES, with_terms=("viscous_friction",)),
         _one("presliding_friction", joint, Enters.FORCE,
