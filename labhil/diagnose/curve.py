@@ -25,6 +25,9 @@ from labhil.signals import FloatArray
 FUNCTIONS = 24
 """Of the spline: more than any curve that is smooth to the eye needs; the penalty takes the rest."""
 
+FUNCTIONS_OF_A_JOINT = 60
+"""The same of inverse dynamics: a joint turns far, and no function costs a simulation."""
+
 SMOOTHING = np.logspace(-6.0, 6.0, 13)
 """Weights of the penalty that are tried, over the one at which data and penalty say as much."""
 
@@ -45,6 +48,9 @@ EXCHANGED = 3
 
 DEEPENED = 2
 """Rounds of new states and a new curve."""
+
+BLOCK = 1.0
+"""Stretch of inverse dynamics, s: longer than what it leaves remembers, shorter than a pass of the joint."""
 
 REWEIGHTED = 60
 LEVEL = 0.99
@@ -86,6 +92,11 @@ def shortened(final: Fitted, share: float) -> Fitted:
     return replace(final, problem=problem, solution=Solution(point, residuals, 0, True), rivals=())
 
 
+def in_blocks(final: Fitted) -> Fitted:
+    """The same fit of a model without states in stretches of which some can be left out in turn."""
+    return shortened(final, BLOCK / length_of(final))
+
+
 def length_of(fitted: Fitted) -> float:
     """Mean length of a fit's windows, s."""
     record, windows = fitted.problem.record, fitted.problem.windows
@@ -101,9 +112,11 @@ def glance(begun: Fitted, coordinate: Coordinate, along: FloatArray) -> Curved:
     assert isinstance(inner, Yielding)
     old = begun.problem
     measure = inner.yardsticks(old.record)
-    speed = measure[Yardstick.SPEED] if coordinate.acts is Over.DAMPING else 1.0
-    size = SIZE * measure[Yardstick.DRIVE] / speed
-    model = ExtendedModel(inner, coordinate, Spline.of(along, FUNCTIONS), size)
+    part = coordinate.part
+    speed = part.speed * measure[Yardstick.SPEED] if coordinate.acts is Over.DAMPING else 1.0
+    size = SIZE * part.force * measure[Yardstick.DRIVE] / speed
+    functions = FUNCTIONS if inner.state_names else FUNCTIONS_OF_A_JOINT
+    model = ExtendedModel(inner, coordinate, Spline.of(along, functions), size)
     own = len(inner.parameters)
     free = np.r_[old.free, own + np.arange(model.spline.count)]
     theta = np.r_[begun.theta, np.zeros(model.spline.count)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -61,7 +62,7 @@ def unnamed(beyond: Unmodelled, excess: float, claims: int) -> Missing:
     formula = f"; about {beyond.formula}" if beyond.formula else ""
     return Missing(
         term=beyond.term,
-        joint=None,
+        joint=beyond.joint,
         statement=beyond.statement,
         equation=f"a curve over {', '.join(beyond.depends_on)}{formula}",
         probability=credence(beyond.evidence, excess, claims),
@@ -83,6 +84,7 @@ def curve(beyond: Unmodelled) -> Curve:
         x_unit=beyond.x_unit,
         formula=beyond.formula,
         share=beyond.share,
+        joint=beyond.joint,
     )
 
 
@@ -108,16 +110,16 @@ def undecided(model: Model) -> tuple[Undecided, ...]:
 
 
 def location(
-    found: Found, before: Score, after: Score, held_out: Record, beyond: Unmodelled | None, *, wider: bool
+    found: Found, before: Score, after: Score, held_out: Record, curves: Sequence[Unmodelled], *, wider: bool
 ) -> locate.Location | None:
-    """Where the mismatch lives; None where none was found.
+    """Where the mismatch lives; None where none was found. The strongest of the ``curves`` comes first.
 
     ``wider``: half of what was held out was searched, too.
     """
     if found.missing:
         place = _named_location(found, before, after, held_out)
-    elif beyond is not None:
-        place = _beyond_location(found, before, after, held_out, beyond)
+    elif curves:
+        place = _beyond_location(found, before, after, held_out, curves[0])
     else:
         return None
     return replace(place, statement=place.statement + WIDER) if wider else place

@@ -13,6 +13,7 @@ from labhil.physics.arm.joint_laws import LAWS, JointMotion, Law, directions
 from labhil.physics.arm.links import Links
 from labhil.physics.arm.motion import Motion
 from labhil.physics.arm.rigid_body import regressor
+from labhil.physics.extra_force import ExtraForce, Over, along_positive
 from labhil.signals import FloatArray
 
 LAWS_REMEMBERED = 15 * JOINTS
@@ -125,6 +126,17 @@ class View:
 
     def _direction(self, joint: int, length: float) -> FloatArray:
         return directions(self.motion.q[:, joint], self.motion.qd[:, joint], length)
+
+    def pushed(self, force: ExtraForce, length: float, delay: float) -> FloatArray:
+        """Torque (n,) of one more force on its joint; ``length`` rad of bristles where it is dry friction."""
+        assert force.joint is not None
+        m, (name, _, number) = self.motion, force.of.rpartition("_")
+        along = (m.q if name == "actual_q" else m.qd)[:, int(number)]
+        places = np.abs(along) if force.acts is Over.SPEED_AGAINST else along
+        curve = np.interp(places, force.grid, force.values)
+        direction = self._direction(force.joint, length)
+        torque = along_positive(force.acts, curve, m.qd[:, force.joint], direction)
+        return self.at_rows(m.filtered(torque), delay)
 
     def load(
         self, joint: int, length: float, inertial: FloatArray, gravity: FloatArray, delay: float
