@@ -34,6 +34,9 @@ SMOOTHING = np.logspace(-6.0, 6.0, 13)
 SIZE = 0.1
 """Share of the drive's force that is taken for a typical size."""
 
+SIZE_ON_A_JOINT = 10.0
+"""The same over the torque that a joint's motion took: hardly any, where it hangs straight down."""
+
 WIDEST = 1.0
 """Weight of the prior that keeps coefficients within a few sizes: it decides only what data do not."""
 
@@ -114,8 +117,8 @@ def glance(begun: Fitted, coordinate: Coordinate, along: FloatArray) -> Curved:
     measure = inner.yardsticks(old.record)
     part = coordinate.part
     speed = part.speed * measure[Yardstick.SPEED] if coordinate.acts is Over.DAMPING else 1.0
-    size = SIZE * part.force * measure[Yardstick.DRIVE] / speed
-    functions = FUNCTIONS if inner.state_names else FUNCTIONS_OF_A_JOINT
+    share, functions = (SIZE, FUNCTIONS) if part.joint is None else (SIZE_ON_A_JOINT, FUNCTIONS_OF_A_JOINT)
+    size = share * part.force * measure[Yardstick.DRIVE] / speed
     model = ExtendedModel(inner, coordinate, Spline.of(along, functions), size)
     own = len(inner.parameters)
     free = np.r_[old.free, own + np.arange(model.spline.count)]
@@ -236,7 +239,8 @@ def rows_beside(curved: Curved) -> list[Estimate]:
     own, scale = problem.free[:-count], problem.scale[:-count]
     dof = max(len(fitted.solution.residuals) - curved.degrees - fitted.solution.point.states.size, 1.0)
     whole = curved.near.covariance(curved.penalty, dof, len(problem.sigma))
-    spread = whole[:-count, :-count] * np.outer(scale, scale)
+    taking = np.hstack([np.eye(len(own)), _exchanged(curved)])
+    spread = taking @ whole @ taking.T * np.outer(scale, scale)
     values, errors = fitted.theta[own], np.sqrt(np.maximum(np.diag(spread), 0.0))
     reach = stats.norm.ppf(0.5 + 0.5 * LEVEL) * errors
     ends = list(zip((values - reach).tolist(), (values + reach).tolist(), strict=True))
@@ -274,6 +278,13 @@ def _quiet(values: FloatArray, shapes: FloatArray) -> np.ndarray:
     return np.asarray(off <= np.median(off))
 
 
+def _exchanged(curved: Curved) -> FloatArray:
+    """What the model's own parameters take over of each coefficient, (P, K) for P of them, both scaled."""
+    count, slopes = curved.model.spline.count, curved.near.slopes
+    shapes = slopes[:, -count:] @ (np.eye(count) - curved.free)
+    return np.asarray(np.linalg.lstsq(slopes[:, :-count], shapes, rcond=None)[0])
+
+
 def _freed(curved: Curved) -> FloatArray:
     """What takes from coefficients the shapes that are not the curve's own, (K, K).
 
@@ -295,15 +306,13 @@ def gauged(curved: Curved) -> Curved:
     free, z = _freed(curved), fitted.solution.point.z
     if np.array_equal(free, np.eye(count)):
         return curved
+    problem, curved = fitted.problem, replace(curved, free=free)
     taken = z[-count:] - free @ z[-count:]
-    slopes = curved.near.slopes
-    own = np.linalg.lstsq(slopes[:, :-count], slopes[:, -count:] @ taken, rcond=None)[0]
-    problem = fitted.problem
-    moved = np.clip(z + np.r_[own, -taken], problem.lower, problem.upper)
-    # the exchange is exact for the linearised model only
-    begin = replace(fitted.solution.point, z=moved)
-    solution = minimise(problem, begin, curved.penalty, EXCHANGED)
-    curved = replace(curved, free=free)
+    moved = np.clip(z + np.r_[_exchanged(curved) @ z[-count:], -taken], problem.lower, problem.upper)
+    # the exchange is exact for the linearised model only; what was exchanged is not to come back
+    begin, blind = replace(fitted.solution.point, z=moved), curved.penalty.copy()
+    blind[-count:, -count:] = free.T @ blind[-count:, -count:] @ free
+    solution = minimise(problem, begin, blind, EXCHANGED)
     if solution.cost > NO_WORSE * fitted.solution.cost:
         return curved
     near, _ = Projected.at(problem, solution.point, solution.residuals)
