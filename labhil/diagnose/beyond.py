@@ -82,8 +82,8 @@ def _of_part(
     alone = _curve(data, simpler.final, curves, part)
     if alone is None:
         return found, beside
-    effective = effective_samples(beside.fit)
-    marks = [bic(each.fit, effective, each.degrees) for each in (alone, beside)]
+    effective = effective_samples(beside.fit, part.joint)
+    marks = [bic(each.fit, effective, each.degrees, part.joint) for each in (alone, beside)]
     return (found, beside) if marks[0] > marks[1] else (simpler, alone)
 
 

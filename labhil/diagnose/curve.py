@@ -78,6 +78,11 @@ class Curved:
     free: FloatArray
 
     @property
+    def joint(self) -> int | None:
+        """The one of an arm that it acts on."""
+        return self.model.coordinate.part.joint
+
+    @property
     def coefficients(self) -> FloatArray:
         """Of the spline, in the unit of the force, (K,)."""
         return self.model.split(self.fitted.theta)[1]
@@ -195,7 +200,7 @@ def _minimised(curved: Curved, start: Point | None, iterations: int) -> Curved:
 
 def criterion(curved: Curved, effective: float) -> float:
     """Schwarz's criterion with the effective degrees of freedom of the smoothed curve."""
-    return bic(curved.fitted, effective, curved.degrees)
+    return bic(curved.fitted, effective, curved.degrees, curved.joint)
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,7 +30,7 @@ from labhil.diagnose.judge import TRUSTED, Data, supported
 from labhil.identify.extended import NAME, Coordinate, ExtendedModel
 from labhil.identify.fitted import Fitted
 from labhil.identify.kept_curve import KeptCurve
-from labhil.identify.score import ChannelScore, Score, score, scored_horizon
+from labhil.identify.score import Score, score, scored_horizon
 from labhil.identify.statistics import Estimate
 from labhil.identify.windows import fit_windows
 from labhil.physics.extra_force import MovedPart, Over, Yielding
@@ -198,14 +198,16 @@ def _leading(trials: Sequence[Curved]) -> list[Curved]:
 
 def _worth(trials: Sequence[Curved]) -> float:
     """Samples that count: of the fit with the least residuals, for those of a bad one are all alike."""
-    return effective_samples(min(trials, key=lambda trial: trial.fitted.solution.cost).fitted)
+    best = min(trials, key=lambda trial: trial.fitted.solution.cost)
+    return effective_samples(best.fitted, best.joint)
 
 
 def _evidence(data: Data, final: Fitted, before: Score, chosen: Curved) -> Evidence:
-    effective = effective_samples(chosen.fitted)
+    joint = chosen.joint
+    effective = effective_samples(chosen.fitted, joint)
     after = score(chosen.model, chosen.fitted.theta, data.test, data.test_sigma, before.horizon)
-    gain, p_value = heldout_gain(before, after)
-    return Evidence(criterion(chosen, effective) - bic(final, effective), p_value, gain)
+    gain, p_value = heldout_gain(before.of_joint(joint), after.of_joint(joint))
+    return Evidence(criterion(chosen, effective) - bic(final, effective, joint=joint), p_value, gain)
 
 
 def _answer(data: Data, final: Fitted, chosen: Curved, evidence: Evidence) -> Unmodelled:
@@ -230,30 +232,25 @@ def _answer(data: Data, final: Fitted, chosen: Curved, evidence: Evidence) -> Un
         unit=unit,
         x_unit=coordinate.unit,
         formula=closed_form(curve.x, curve.value, curve.covariance, curve.reach),
-        statement=_statement(chosen, curve, unit, _own(after, part)),
+        statement=_statement(chosen, curve, unit, after.of_joint(part.joint)),
         evidence=evidence,
         model=chosen.model,
         fit=chosen.fitted,
         before=before,
         after=after,
-        share=_share(_own(before, part), _own(after, part)),
+        share=_share(before.of_joint(part.joint), after.of_joint(part.joint)),
         degrees=chosen.degrees,
         rows=rows_beside(chosen),
     )
 
 
-def _own(marks: Score, part: MovedPart) -> Score | ChannelScore:
-    """The figures of a part: those of its joint, or of all there is."""
-    return marks if part.joint is None else next(c for c in marks.channels if c.joint == part.joint)
-
-
-def _share(before: Score | ChannelScore, after: Score | ChannelScore) -> float:
+def _share(before: Score, after: Score) -> float:
     """What of the excess over the noise floor is gone."""
     excess = before.mse - after.noise_floor**2
     return (before.mse - after.mse) / excess if excess > 0.0 else 0.0
 
 
-def _statement(chosen: Curved, curve: Band, unit: str, after: Score | ChannelScore) -> str:
+def _statement(chosen: Curved, curve: Band, unit: str, after: Score) -> str:
     """A few sentences: over what, which way, how strong and where, and whether that is all."""
     coordinate = chosen.model.coordinate
     most = int(np.argmax(np.abs(curve.value)))

@@ -43,7 +43,7 @@ def patch(q: FloatArray) -> FloatArray:
 
 def spring(q: FloatArray) -> FloatArray:
     """A torque along the positive direction, N·m."""
-    return -2.5 * np.maximum(q - 1.2, 0.0)
+    return -0.8 * np.tanh((q - 1.2) / 0.4)
 
 
 @cache
@@ -68,7 +68,7 @@ def rubbed(record: Record, joint: int) -> Record:
 
 
 def sprung(record: Record, joint: int) -> Record:
-    """With a spring that a joint runs into."""
+    """With a spring that gives in."""
     return pushed(record, joint, spring(record.inputs[:, joint]))
 
 
