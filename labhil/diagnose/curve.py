@@ -165,8 +165,8 @@ def begun(glanced: Curved) -> Curved:
 
 def refined(curved: Curved, iterations: int) -> Curved:
     """The same curve by the simulation itself, its smoothness chosen anew where that ends."""
-    once = _minimised(curved, None, iterations)
-    return _minimised(once, None, iterations)
+    once = minimised(curved, None, iterations)
+    return minimised(once, None, iterations)
 
 
 def deepened(curved: Curved, iterations: int) -> Curved:
@@ -175,7 +175,7 @@ def deepened(curved: Curved, iterations: int) -> Curved:
     for _ in range(DEEPENED):
         problem, point = curved.fitted.problem, curved.fitted.solution.point
         start = Point(point.z, search_states(problem, point.z, point.states, random))
-        curved = _minimised(curved, start, iterations)
+        curved = minimised(curved, start, iterations)
     return curved
 
 
@@ -186,10 +186,11 @@ def lengthened(curved: Curved, windows: Windows, iterations: int) -> Curved:
     z = curved.fitted.solution.point.z
     start = Point(z, fit_states(problem, z, problem.guess))
     onward = replace(curved, fitted=replace(curved.fitted, problem=problem))
-    return _minimised(onward, start, iterations)
+    return minimised(onward, start, iterations)
 
 
-def _minimised(curved: Curved, start: Point | None, iterations: int) -> Curved:
+def minimised(curved: Curved, start: Point | None, iterations: int) -> Curved:
+    """The least penalised cost from ``start`` (None: from where the curve is), then its smoothness anew."""
     problem, fitted = curved.fitted.problem, curved.fitted
     solution = minimise(problem, start or fitted.solution.point, curved.penalty, iterations)
     near, _ = Projected.at(problem, solution.point, solution.residuals)

@@ -21,12 +21,14 @@ from labhil.diagnose.curve import (
     in_blocks,
     length_of,
     lengthened,
+    minimised,
     refined,
     rows_beside,
     shortened,
 )
 from labhil.diagnose.evidence import Evidence, bic, effective_samples, heldout_gain
 from labhil.diagnose.judge import TRUSTED, Data, supported
+from labhil.diagnose.rest import STANDS_IN
 from labhil.identify.extended import NAME, Coordinate, ExtendedModel
 from labhil.identify.fitted import Fitted
 from labhil.identify.kept_curve import KeptCurve
@@ -113,7 +115,8 @@ class Unmodelled:
 def unmodelled(data: Data, final: Fitted, part: MovedPart) -> Unmodelled | None:
     """The force on ``part`` over one coordinate that brings a fitted model closest to the data, or None.
 
-    It has to be supported by the search data and by the held-out ones. The model must take a force.
+    It has to be supported by the search data and by the held-out ones, and on a joint has to explain half of
+    what these show there, or it only stands in for something else. The model must take a force.
     """
     model = final.problem.model
     assert isinstance(model, Yielding)
@@ -126,7 +129,8 @@ def unmodelled(data: Data, final: Fitted, part: MovedPart) -> Unmodelled | None:
     evidence = _evidence(data, final, judged, chosen)
     if not supported(evidence, TRUSTED):
         return None
-    return _answer(data, final, chosen, evidence)
+    found = _answer(data, final, chosen, evidence)
+    return None if part.joint is not None and found.share < STANDS_IN else found
 
 
 def coordinates_of(model: Yielding, part: MovedPart) -> list[Coordinate]:
@@ -166,13 +170,14 @@ def _best(final: Fitted, model: Yielding, part: MovedPart) -> Curved | None:
         return None
     effective = _worth(looks)
     looks.sort(key=lambda look: criterion(look, effective))
-    # inverse dynamics is linear in a curve: its glances are as good as what follows
-    leading = looks[: REFINED if model.state_names else 1]
-    trials = _leading([refined(begun(look), ITERATIONS) for look in leading])
+    if not model.state_names:
+        # inverse dynamics is linear in a curve: there a glance is as good as what follows
+        return gauged(minimised(begun(looks[0]), None, ITERATIONS))
+    trials = _leading([refined(begun(look), ITERATIONS) for look in looks[:REFINED]])
     for length in longer:
         windows = fit_windows(problem.record, length)
         trials = _leading([lengthened(trial, windows, ITERATIONS) for trial in trials])
-    return gauged(deepened(trials[0], FINISHED) if model.state_names else trials[0])
+    return gauged(deepened(trials[0], FINISHED))
 
 
 def _begun(final: Fitted) -> tuple[Fitted, tuple[float, ...]]:
