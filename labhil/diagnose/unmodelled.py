@@ -138,7 +138,7 @@ def coordinates_of(model: Yielding, part: MovedPart) -> list[Coordinate]:
 
     Positions of other parts are among it: a cable or a spring may be tied to both.
     """
-    others = [each.position for each in model.moved if each is not part]
+    others = [each.position for each in model.moved if each != part]
     ways = [
         *((part.position, acts) for acts in (Over.POSITION, Over.POSITION_AGAINST, Over.DAMPING)),
         *((part.velocity, acts) for acts in (Over.VELOCITY, Over.SPEED_AGAINST)),

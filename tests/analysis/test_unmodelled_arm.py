@@ -13,7 +13,7 @@ import pytest
 
 from labhil.campaign.benchmark import arm
 from labhil.diagnose.beyond import beyond
-from labhil.diagnose.diagnosis import data_of, fit_baseline
+from labhil.diagnose.diagnosis import data_of, diagnose, fit_baseline
 from labhil.diagnose.found import Found
 from labhil.diagnose.judge import Data
 from labhil.diagnose.rest import left_by, unexplained
@@ -27,6 +27,8 @@ from labhil.physics.arm import ArmModel
 from labhil.physics.extra_force import ExtraForce, Over
 from labhil.physics.model import Record, Windows, terms_named
 from labhil.report.kept_curve import curves_json, under_kept_curve
+from labhil.report.plots import diagnosis_plot
+from labhil.report.results import diagnosis_json
 from labhil.rig import parse_rig
 from labhil.signals import FloatArray
 
@@ -138,6 +140,26 @@ def test_curves_of_a_file_are_part_of_the_model(tmp_path: Path) -> None:
     theta = start_theta(read, {row.key: row.value for row in curves[-1].rows})
     after = score(read, theta, data.test, data.test_sigma)
     assert after.rmse == pytest.approx(curves[-1].after.rmse, rel=0.02)
+
+
+@pytest.mark.extended
+def test_a_whole_diagnosis_tells_of_it(tmp_path: Path) -> None:
+    """Term, joint, place and picture; named terms that only stood in for it are gone."""
+    records = [rubbed(plain(seed), 5) for seed in (1, 2)]
+    model = ArmModel(RIG, records[0])
+    search, test = (model.prepare(record) for record in records)
+    found = diagnose(model, search, test, heldout_is_test=True, baseline=arm.TERMS, measured=records[0])
+    assert [(item.term, item.joint) for item in found.missing] == [("unmodelled_force", 5)]
+    assert found.verdict == "missing_physics"
+    assert found.location is not None
+    assert (found.location.joint, found.location.enters) == (5, "force")
+    assert {regime.coordinate for regime in found.location.regimes} == {"actual_q_5"}
+    assert found.after.rmse <= 1.1
+    stated = diagnosis_json(found, [])
+    assert (stated["curve"]["joint"], stated["curve"]["depends_on"]) == (5, ["actual_q_5"])
+    assert stated["further_curves"] == []
+    diagnosis_plot(found, test, tmp_path / "d.png")
+    assert (tmp_path / "d.png").stat().st_size > 0
 
 
 @pytest.mark.parametrize("joint", [None, 6])
