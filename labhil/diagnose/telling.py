@@ -10,6 +10,7 @@ from scipy import stats
 
 from labhil.diagnose import locate
 from labhil.diagnose.answer import Curve, Excluded, Missing, RivalTerm, Undecided
+from labhil.diagnose.beyond import MISNAMED
 from labhil.diagnose.credence import credence, share
 from labhil.diagnose.found import Found, Rival, Step
 from labhil.diagnose.judge import Data
@@ -159,9 +160,19 @@ def _beyond_location(
         times=times,
         regimes=tuple(replace(regime, unit=beyond.x_unit) for regime in regimes),
         statement=f"What {keyed(channel, joint)} is off by enters by the {beyond.enters} and follows {name}."
-        + locate.whose(before, after),
+        + locate.whose(before, after)
+        + _not_all(after),
         recordings=recordings,
     )
+
+
+def _not_all(after: Score) -> str:
+    """A sentence: which joints still leave more than noise, since a curve over one coordinate may not do."""
+    ratios = {
+        keyed(c.channel, c.joint): c.rmse / c.noise_floor for c in after.channels if c.joint is not None
+    }
+    left = [f"{key} {ratio:.1f} times its noise floor" for key, ratio in ratios.items() if ratio > MISNAMED]
+    return f" That is not all: it leaves {', '.join(left)}." if left else ""
 
 
 def _channel(before: Score, after: Score) -> tuple[str, int | None]:

@@ -57,9 +57,6 @@ MODERATE = 2.0
 SHORTER = (0.5, 0.25, 0.125)
 """Lengths of windows, over those of the fit, by way of which a strong effect is approached."""
 
-NOT_ALL = 1.5
-"""RMSE of a joint over its noise floor from which a curve over one coordinate is not all there is."""
-
 WAYS: Mapping[Over, str] = {
     Over.POSITION_AGAINST: "dry friction",
     Over.SPEED_AGAINST: "friction",
@@ -237,7 +234,7 @@ def _answer(data: Data, final: Fitted, chosen: Curved, evidence: Evidence) -> Un
         unit=unit,
         x_unit=coordinate.unit,
         formula=closed_form(curve.x, curve.value, curve.covariance, curve.reach),
-        statement=_statement(chosen, curve, unit, after.of_joint(part.joint)),
+        statement=_statement(chosen, curve, unit),
         evidence=evidence,
         model=chosen.model,
         fit=chosen.fitted,
@@ -255,8 +252,8 @@ def _share(before: Score, after: Score) -> float:
     return (before.mse - after.mse) / excess if excess > 0.0 else 0.0
 
 
-def _statement(chosen: Curved, curve: Band, unit: str, after: Score) -> str:
-    """A few sentences: over what, which way, how strong and where, and whether that is all."""
+def _statement(chosen: Curved, curve: Band, unit: str) -> str:
+    """One or two sentences: over what, which way, how strong and where."""
     coordinate = chosen.model.coordinate
     most = int(np.argmax(np.abs(curve.value)))
     joint = coordinate.part.joint
@@ -268,7 +265,4 @@ def _statement(chosen: Curved, curve: Band, unit: str, after: Score) -> str:
     )
     if handed_over(chosen):
         text += " It is zero where it is quietest: the model's own parameters can stand for the rest."
-    if joint is not None and after.rmse > NOT_ALL * after.noise_floor:
-        times = after.rmse / after.noise_floor
-        text += f" It is not all: what it leaves of that joint is still {times:.1f} times the noise."
     return text.replace("-", "−")
