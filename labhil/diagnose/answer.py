@@ -84,7 +84,7 @@ class Curve:
 
     ``low`` and ``high`` (m,) are a pointwise 99 % band; ``acts`` says which way it acts; ``formula`` is a
     short one that lies within the band, if there is one; ``share`` is how much of the mismatch it explains
-    on data that the search never saw.
+    on data that the search never saw; ``joint`` is the one of an arm that it acts on.
     """
 
     depends_on: str
@@ -97,6 +97,7 @@ class Curve:
     x_unit: str
     formula: str | None
     share: float
+    joint: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +106,8 @@ class Diagnosis:
 
     ``faults`` are those of the data, whether or not they make them unfit. ``wider`` says that scores are on
     parts of what was held out, and that the parts between were searched; ``shorter`` are scores before and
-    after on windows as short as the search's, where the answer only shows on those.
+    after on windows as short as the search's, where the answer only shows on those. ``curve`` is the
+    strongest one, ``further_curves`` are those of an arm's other joints.
     """
 
     verdict: str
@@ -130,5 +132,6 @@ class Diagnosis:
     final_fit: Fitted
     curve: Curve | None
     seconds: float
+    further_curves: tuple[Curve, ...] = ()
     shorter: tuple[Score, Score] | None = None
     wider: bool = False

@@ -25,11 +25,17 @@ from labhil.signals import FloatArray
 FUNCTIONS = 24
 """Of the spline: more than any curve that is smooth to the eye needs; the penalty takes the rest."""
 
+FUNCTIONS_OF_A_JOINT = 60
+"""The same of inverse dynamics: a joint turns far, and no function costs a simulation."""
+
 SMOOTHING = np.logspace(-6.0, 6.0, 13)
 """Weights of the penalty that are tried, over the one at which data and penalty say as much."""
 
 SIZE = 0.1
 """Share of the drive's force that is taken for a typical size."""
+
+SIZE_ON_A_JOINT = 10.0
+"""The same over the torque that a joint's motion took: hardly any, where it hangs straight down."""
 
 WIDEST = 1.0
 """Weight of the prior that keeps coefficients within a few sizes: it decides only what data do not."""
@@ -45,6 +51,9 @@ EXCHANGED = 3
 
 DEEPENED = 2
 """Rounds of new states and a new curve."""
+
+BLOCK = 1.0
+"""Stretch of inverse dynamics, s: longer than what it leaves remembers, shorter than a pass of the joint."""
 
 REWEIGHTED = 60
 LEVEL = 0.99
@@ -69,6 +78,11 @@ class Curved:
     free: FloatArray
 
     @property
+    def joint(self) -> int | None:
+        """The one of an arm that it acts on."""
+        return self.model.coordinate.part.joint
+
+    @property
     def coefficients(self) -> FloatArray:
         """Of the spline, in the unit of the force, (K,)."""
         return self.model.split(self.fitted.theta)[1]
@@ -86,6 +100,11 @@ def shortened(final: Fitted, share: float) -> Fitted:
     return replace(final, problem=problem, solution=Solution(point, residuals, 0, True), rivals=())
 
 
+def in_blocks(final: Fitted) -> Fitted:
+    """The same fit of a model without states in stretches of which some can be left out in turn."""
+    return shortened(final, BLOCK / length_of(final))
+
+
 def length_of(fitted: Fitted) -> float:
     """Mean length of a fit's windows, s."""
     record, windows = fitted.problem.record, fitted.problem.windows
@@ -101,9 +120,11 @@ def glance(begun: Fitted, coordinate: Coordinate, along: FloatArray) -> Curved:
     assert isinstance(inner, Yielding)
     old = begun.problem
     measure = inner.yardsticks(old.record)
-    speed = measure[Yardstick.SPEED] if coordinate.acts is Over.DAMPING else 1.0
-    size = SIZE * measure[Yardstick.DRIVE] / speed
-    model = ExtendedModel(inner, coordinate, Spline.of(along, FUNCTIONS), size)
+    part = coordinate.part
+    speed = part.speed * measure[Yardstick.SPEED] if coordinate.acts is Over.DAMPING else 1.0
+    share, functions = (SIZE, FUNCTIONS) if part.joint is None else (SIZE_ON_A_JOINT, FUNCTIONS_OF_A_JOINT)
+    size = share * part.force * measure[Yardstick.DRIVE] / speed
+    model = ExtendedModel(inner, coordinate, Spline.of(along, functions), size)
     own = len(inner.parameters)
     free = np.r_[old.free, own + np.arange(model.spline.count)]
     theta = np.r_[begun.theta, np.zeros(model.spline.count)]
@@ -144,8 +165,8 @@ def begun(glanced: Curved) -> Curved:
 
 def refined(curved: Curved, iterations: int) -> Curved:
     """The same curve by the simulation itself, its smoothness chosen anew where that ends."""
-    once = _minimised(curved, None, iterations)
-    return _minimised(once, None, iterations)
+    once = minimised(curved, None, iterations)
+    return minimised(once, None, iterations)
 
 
 def deepened(curved: Curved, iterations: int) -> Curved:
@@ -154,7 +175,7 @@ def deepened(curved: Curved, iterations: int) -> Curved:
     for _ in range(DEEPENED):
         problem, point = curved.fitted.problem, curved.fitted.solution.point
         start = Point(point.z, search_states(problem, point.z, point.states, random))
-        curved = _minimised(curved, start, iterations)
+        curved = minimised(curved, start, iterations)
     return curved
 
 
@@ -165,10 +186,11 @@ def lengthened(curved: Curved, windows: Windows, iterations: int) -> Curved:
     z = curved.fitted.solution.point.z
     start = Point(z, fit_states(problem, z, problem.guess))
     onward = replace(curved, fitted=replace(curved.fitted, problem=problem))
-    return _minimised(onward, start, iterations)
+    return minimised(onward, start, iterations)
 
 
-def _minimised(curved: Curved, start: Point | None, iterations: int) -> Curved:
+def minimised(curved: Curved, start: Point | None, iterations: int) -> Curved:
+    """The least penalised cost from ``start`` (None: from where the curve is), then its smoothness anew."""
     problem, fitted = curved.fitted.problem, curved.fitted
     solution = minimise(problem, start or fitted.solution.point, curved.penalty, iterations)
     near, _ = Projected.at(problem, solution.point, solution.residuals)
@@ -179,7 +201,7 @@ def _minimised(curved: Curved, start: Point | None, iterations: int) -> Curved:
 
 def criterion(curved: Curved, effective: float) -> float:
     """Schwarz's criterion with the effective degrees of freedom of the smoothed curve."""
-    return bic(curved.fitted, effective, curved.degrees)
+    return bic(curved.fitted, effective, curved.degrees, curved.joint)
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,7 +245,8 @@ def rows_beside(curved: Curved) -> list[Estimate]:
     own, scale = problem.free[:-count], problem.scale[:-count]
     dof = max(len(fitted.solution.residuals) - curved.degrees - fitted.solution.point.states.size, 1.0)
     whole = curved.near.covariance(curved.penalty, dof, len(problem.sigma))
-    spread = whole[:-count, :-count] * np.outer(scale, scale)
+    taking = np.hstack([np.eye(len(own)), _exchanged(curved)])
+    spread = taking @ whole @ taking.T * np.outer(scale, scale)
     values, errors = fitted.theta[own], np.sqrt(np.maximum(np.diag(spread), 0.0))
     reach = stats.norm.ppf(0.5 + 0.5 * LEVEL) * errors
     ends = list(zip((values - reach).tolist(), (values + reach).tolist(), strict=True))
@@ -261,6 +284,13 @@ def _quiet(values: FloatArray, shapes: FloatArray) -> np.ndarray:
     return np.asarray(off <= np.median(off))
 
 
+def _exchanged(curved: Curved) -> FloatArray:
+    """What the model's own parameters take over of each coefficient, (P, K) for P of them, both scaled."""
+    count, slopes = curved.model.spline.count, curved.near.slopes
+    shapes = slopes[:, -count:] @ (np.eye(count) - curved.free)
+    return np.asarray(np.linalg.lstsq(slopes[:, :-count], shapes, rcond=None)[0])
+
+
 def _freed(curved: Curved) -> FloatArray:
     """What takes from coefficients the shapes that are not the curve's own, (K, K).
 
@@ -282,15 +312,13 @@ def gauged(curved: Curved) -> Curved:
     free, z = _freed(curved), fitted.solution.point.z
     if np.array_equal(free, np.eye(count)):
         return curved
+    problem, curved = fitted.problem, replace(curved, free=free)
     taken = z[-count:] - free @ z[-count:]
-    slopes = curved.near.slopes
-    own = np.linalg.lstsq(slopes[:, :-count], slopes[:, -count:] @ taken, rcond=None)[0]
-    problem = fitted.problem
-    moved = np.clip(z + np.r_[own, -taken], problem.lower, problem.upper)
-    # the exchange is exact for the linearised model only
-    begin = replace(fitted.solution.point, z=moved)
-    solution = minimise(problem, begin, curved.penalty, EXCHANGED)
-    curved = replace(curved, free=free)
+    moved = np.clip(z + np.r_[_exchanged(curved) @ z[-count:], -taken], problem.lower, problem.upper)
+    # the exchange is exact for the linearised model only; what was exchanged is not to come back
+    begin, blind = replace(fitted.solution.point, z=moved), curved.penalty.copy()
+    blind[-count:, -count:] = free.T @ blind[-count:, -count:] @ free
+    solution = minimise(problem, begin, blind, EXCHANGED)
     if solution.cost > NO_WORSE * fitted.solution.cost:
         return curved
     near, _ = Projected.at(problem, solution.point, solution.residuals)

@@ -13,14 +13,15 @@ from scipy import stats
 from labhil.diagnose import telling
 from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.answer import Change, Diagnosis, Undecided
+from labhil.diagnose.beyond import MISNAMED, SURELY, beyond, imitated, strongest
 from labhil.diagnose.evidence import bic, effective_samples
 from labhil.diagnose.found import Found
 from labhil.diagnose.intake import Fault, faults_of, usable
 from labhil.diagnose.judge import NEEDED_BIC, Data
 from labhil.diagnose.load import with_load
-from labhil.diagnose.rest import left_by, stands_in, unexplained
+from labhil.diagnose.rest import left_by, unexplained
 from labhil.diagnose.search import search
-from labhil.diagnose.unmodelled import Unmodelled, unmodelled
+from labhil.diagnose.unmodelled import Unmodelled
 from labhil.diagnose.wider import searched_and_kept
 from labhil.identify.fitted import Fitted, climb, start_theta
 from labhil.identify.noise import lasting_noise
@@ -29,21 +30,12 @@ from labhil.identify.statistics import Estimate, stated, with_error
 from labhil.identify.table import table_of
 from labhil.identify.windows import noise_of, told_apart
 from labhil.physics.model import Metric, Model, Record, index_of, terms_named
-from labhil.physics.terms import Enters, unkeyed
+from labhil.physics.terms import unkeyed
 from labhil.signals import FloatArray
 
 SEARCH_WINDOW_IN_HORIZONS = 0.375
 FIRST_WINDOW_IN_HORIZONS = 0.1875
 FALSE_ALARM = 5e-4
-SURELY, MISNAMED = 2.5, 1.5
-"""RMSE over the noise floor that no noise makes, and that doubts terms which were found.
-
-The floor of a few windows is not well known: each has only one error of its initial state.
-"""
-
-DOUBTFUL = 1.05
-"""The same from which on named forces are compared with a curve in their place."""
-
 LASTS = 1.1
 """Factor by which noise as the baseline leaves it must differ from that of single samples to count."""
 
@@ -94,13 +86,14 @@ def diagnose(
     before = marked(model, base.theta)
     after = marked(model, found.final.theta) if found.missing else before
     more = unexplained(data, left) or _excess(after) > (MISNAMED if found.missing else SURELY)
-    found, beyond = _without_a_name(data, found, after, more=more)
-    after = marked(*_accepted(model, found, beyond)) if more or beyond is not None else after
-    excess, claims = _doubts(model, after, found, beyond)
-    final = _rows(found) if beyond is None else beyond.rows
+    found, curves = beyond(data, found) if more else imitated(data, found, _excess(after))
+    after = marked(*_accepted(model, found, curves)) if more or curves else after
+    excess, claims = _doubts(model, after, found, curves)
+    final = curves[-1].rows if curves else _rows(found)
+    told = strongest(curves)
     changed = _changes(final, reference)
     return Diagnosis(
-        verdict=_verdict(found, changed, beyond, more),
+        verdict=_verdict(found, changed, curves, more),
         faults=faults,
         p_value=found.p_value,
         p_value_method="tail_extrapolated",
@@ -108,22 +101,23 @@ def diagnose(
         baseline_terms=base.terms,
         baseline=table_of(base).rows,
         changed=changed,
-        location=telling.location(found, before, after, held_out, beyond, wider=wider),
+        location=telling.location(found, before, after, held_out, told, wider=wider),
         missing=(
             *(telling.missing(model, step, found, final, excess, claims) for step in found.missing),
-            *(() if beyond is None else (telling.unnamed(beyond, excess, claims),)),
+            *(telling.unnamed(curve, excess, claims) for curve in told),
         ),
         rivals=tuple(telling.rival_term(model, rival, found, excess, claims) for rival in found.rivals),
         undecided=telling.undecided(model),
         excluded=telling.excluded(data, found),
         data="test" if heldout_is_test else "heldout",
         before=with_forces(before, model, base.theta, held_out, noise.sigma),
-        after=with_forces(after, *_accepted(model, found, beyond), held_out, noise.sigma),
+        after=with_forces(after, *_accepted(model, found, curves), held_out, noise.sigma),
         final_terms=found.final.terms,
         final=final,
         baseline_fit=base,
         final_fit=found.final,
-        curve=None if beyond is None else telling.curve(beyond),
+        curve=telling.curve(told[0]) if told else None,
+        further_curves=tuple(telling.curve(curve) for curve in told[1:]),
         seconds=time.perf_counter() - began,
         shorter=_on_shorter_windows(data, found, before, after),
         wider=wider,
@@ -181,69 +175,9 @@ def _on_shorter_windows(data: Data, found: Found, before: Score, after: Score) -
     return data.judge(found.baseline.theta)[0], data.judge(found.final.theta)[0]
 
 
-def _without_a_name(data: Data, found: Found, after: Score, *, more: bool) -> tuple[Found, Unmodelled | None]:
-    """What was found, less what a curve explains better, and the curve.
-
-    Where ``more`` than noise is left one is looked for; where hardly any is, one may still show that named
-    forces only imitate it.
-    """
-    if more:
-        return _beyond(data, found)
-    terms = data.model.terms
-    imitable = any(terms[step.terms[0]].enters is Enters.FORCE for step in found.missing)
-    if imitable and data.model.state_names and _excess(after) > DOUBTFUL:
-        return _or_curve(data, found)
-    return found, None
-
-
-def _beyond(data: Data, found: Found) -> tuple[Found, Unmodelled | None]:
-    """A force that no named term explains, and what was found without the terms that it makes needless.
-
-    Where a curve is the answer, or none is and most of the excess is still there, named terms only stood in
-    for something else.
-    """
-    if not data.model.state_names:
-        return found, None  # an arm takes no further force, and each joint has an excess of its own
-    beyond = _curve(data, found.final)
-    if not found.missing:
-        return found, beyond
-    if beyond is None:
-        found, alone = _or_curve(data, found)
-        stood_in = alone is None and stands_in(found.baseline, found.final)
-        return (_nothing(found) if stood_in else found), alone
-    alone = _curve(data, found.baseline)
-    if alone is None:
-        return found, beyond
-    effective = effective_samples(beyond.fit)
-    marks = [bic(each.fit, effective, each.degrees) for each in (alone, beyond)]
-    return (found, beyond) if marks[0] > marks[1] else (_nothing(found), alone)
-
-
-def _or_curve(data: Data, found: Found) -> tuple[Found, Unmodelled | None]:
-    """What was found, or a curve alone where that has very strong evidence over the named terms."""
-    alone = _curve(data, found.baseline)
-    if alone is None:
-        return found, None
-    effective = effective_samples(alone.fit)
-    better = bic(alone.fit, effective, alone.degrees) - bic(found.final, effective)
-    return (_nothing(found), alone) if better < NEEDED_BIC else (found, None)
-
-
-def _nothing(found: Found) -> Found:
-    """The same without what was found."""
-    return replace(found, final=found.baseline, missing=(), rivals=())
-
-
-def _curve(data: Data, final: Fitted) -> Unmodelled | None:
-    """A force beside a fit, judged on windows as long as those of that fit."""
-    rows = final.problem.windows
-    length = float(data.search.t[rows.last[0] - 1] - data.search.t[rows.first[0]])
-    return unmodelled(replace(data, window=length), final)
-
-
-def _accepted(model: Model, found: Found, beyond: Unmodelled | None) -> tuple[Model, FloatArray]:
-    """The model that is left, with its vector."""
-    return (model, found.final.theta) if beyond is None else (beyond.model, beyond.fit.theta)
+def _accepted(model: Model, found: Found, curves: Sequence[Unmodelled]) -> tuple[Model, FloatArray]:
+    """The model that is left, with its vector; the last of the curves was found beside all others."""
+    return (curves[-1].model, curves[-1].fit.theta) if curves else (model, found.final.theta)
 
 
 def data_of(
@@ -307,8 +241,10 @@ def _rows(found: Found) -> list[Estimate]:
     return [with_error(row, found.errors.get(row.key, 0.0)) for row in rows]
 
 
-def _verdict(found: Found, changed: tuple[Change, ...], beyond: Unmodelled | None, unexplained: bool) -> str:
-    if found.missing or beyond is not None:
+def _verdict(
+    found: Found, changed: tuple[Change, ...], curves: Sequence[Unmodelled], unexplained: bool
+) -> str:
+    if found.missing or curves:
         return "missing_physics"
     if unexplained:
         return "unexplained_mismatch"
@@ -320,11 +256,11 @@ def _excess(marks: Score) -> float:
     return max(channel.rmse / channel.noise_floor for channel in marks.channels)
 
 
-def _doubts(model: Model, after: Score, found: Found, beyond: Unmodelled | None) -> tuple[float, int]:
+def _doubts(model: Model, after: Score, found: Found, curves: Sequence[Unmodelled]) -> tuple[float, int]:
     """What speaks against a claim: the excess that stays, and how many there are; of an arm neither."""
     if model.metric is Metric.INVERSE_DYNAMICS:
         return 1.0, 1
-    return _excess(after), len(found.missing) + (beyond is not None)
+    return _excess(after), len(found.missing) + len(curves)
 
 
 def _changes(final: Sequence[Estimate], reference: Mapping[str, float] | None) -> tuple[Change, ...]:

@@ -44,9 +44,9 @@ class Left:
     begins: tuple[int, ...]
 
 
-def effective_samples(fitted: Fitted) -> float:
-    """How many independent residuals those of a fit are worth."""
-    return independent(_channels(fitted), fitted.problem.begins)
+def effective_samples(fitted: Fitted, joint: int | None = None) -> float:
+    """How many independent residuals those of a fit are worth, or those of one joint's output."""
+    return independent(_channels(fitted, joint), fitted.problem.begins)
 
 
 def independent(residuals: FloatArray, begins: Sequence[int] = (0,)) -> float:
@@ -60,13 +60,14 @@ def independent(residuals: FloatArray, begins: Sequence[int] = (0,)) -> float:
     return residuals.size * (1.0 - rho) / (1.0 + rho)
 
 
-def bic(fitted: Fitted, effective: float, degrees: float | None = None) -> float:
+def bic(fitted: Fitted, effective: float, degrees: float | None = None, joint: int | None = None) -> float:
     """Schwarz's criterion with as many samples as the residuals are worth; windows' states cost the same.
 
-    ``degrees`` are the free parameters, where they are not simply counted.
+    ``degrees`` are the free parameters, where they are not simply counted. What acts on one ``joint`` is
+    judged by that joint's output: what others leave, and how long it lasts, says nothing of it.
     """
     free = len(fitted.problem.free) if degrees is None else degrees
-    return float(effective * _log_power(fitted) + free * np.log(effective))
+    return float(effective * _log_power(fitted, joint) + free * np.log(effective))
 
 
 def unlikelier(before: Left, after: Left) -> float:
@@ -82,14 +83,16 @@ def search_p_value(before: Fitted, after: Fitted, effective: float, looks: int) 
     return float(min(1.0, looks * stats.chi2.sf(max(ratio, 0.0), added)))
 
 
-def _channels(fitted: Fitted) -> FloatArray:
-    """Residuals by channel, (n, channels)."""
-    return fitted.solution.residuals.reshape(-1, len(fitted.problem.sigma))
+def _channels(fitted: Fitted, joint: int | None = None) -> FloatArray:
+    """Residuals by channel, (n, channels), or those of one joint, (n, 1)."""
+    every = fitted.solution.residuals.reshape(-1, len(fitted.problem.sigma))
+    return every if joint is None else every[:, [fitted.problem.record.output_joints.index(joint)]]
 
 
-def _log_power(fitted: Fitted) -> float:
+def _log_power(fitted: Fitted, joint: int | None = None) -> float:
     """Mean over the channels of the logarithm of their mean square: each has a noise level of its own."""
-    return float(np.mean(np.log(np.maximum(np.mean(_channels(fitted) ** 2, axis=0), 1e-300))))
+    powers = np.mean(_channels(fitted, joint) ** 2, axis=0)
+    return float(np.mean(np.log(np.maximum(powers, 1e-300))))
 
 
 def best_heldout_gain(before: Sequence[Score], after: Sequence[Score]) -> tuple[float, float]:

@@ -74,11 +74,11 @@ class Data:
             lengths = (*(share * length for share in JUDGED_SHARES), longest)
         return tuple(score(self.model, theta, self.test, self.test_sigma, length) for length in lengths)
 
-    def left(self, theta: FloatArray) -> Left:
-        """What a vector leaves of the held-out data on windows as long as those of the search."""
+    def left(self, model: Model, theta: FloatArray) -> Left:
+        """What a model held at ``theta`` leaves of the held-out data, on windows as long as the search's."""
         length = min(self.window, self.test.longest)
-        windows = fit_windows(self.test, length) if self.model.state_names else Windows.of(self.test.spans)
-        found = held_at(self.model, theta, self.test, windows, self.test_sigma)
+        windows = fit_windows(self.test, length) if model.state_names else Windows.of(self.test.spans)
+        found = held_at(model, theta, self.test, windows, self.test_sigma)
         return Left(found.residuals.reshape(-1, len(self.test_sigma)), begins_among(self.test, windows))
 
 
@@ -89,7 +89,7 @@ def odds(data: Data, before: Fitted, after: Fitted, left_before: Left) -> float:
     """
     effective = effective_samples(before)
     seen = bic(after, effective) - bic(before, effective)
-    return seen + unlikelier(left_before, data.left(after.theta))
+    return seen + unlikelier(left_before, data.left(data.model, after.theta))
 
 
 def compare(

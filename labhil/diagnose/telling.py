@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ from scipy import stats
 
 from labhil.diagnose import locate
 from labhil.diagnose.answer import Curve, Excluded, Missing, RivalTerm, Undecided
+from labhil.diagnose.beyond import MISNAMED
 from labhil.diagnose.credence import credence, share
 from labhil.diagnose.found import Found, Rival, Step
 from labhil.diagnose.judge import Data
@@ -61,7 +63,7 @@ def unnamed(beyond: Unmodelled, excess: float, claims: int) -> Missing:
     formula = f"; about {beyond.formula}" if beyond.formula else ""
     return Missing(
         term=beyond.term,
-        joint=None,
+        joint=beyond.joint,
         statement=beyond.statement,
         equation=f"a curve over {', '.join(beyond.depends_on)}{formula}",
         probability=credence(beyond.evidence, excess, claims),
@@ -83,6 +85,7 @@ def curve(beyond: Unmodelled) -> Curve:
         x_unit=beyond.x_unit,
         formula=beyond.formula,
         share=beyond.share,
+        joint=beyond.joint,
     )
 
 
@@ -108,16 +111,16 @@ def undecided(model: Model) -> tuple[Undecided, ...]:
 
 
 def location(
-    found: Found, before: Score, after: Score, held_out: Record, beyond: Unmodelled | None, *, wider: bool
+    found: Found, before: Score, after: Score, held_out: Record, curves: Sequence[Unmodelled], *, wider: bool
 ) -> locate.Location | None:
-    """Where the mismatch lives; None where none was found.
+    """Where the mismatch lives; None where none was found. The strongest of the ``curves`` comes first.
 
     ``wider``: half of what was held out was searched, too.
     """
     if found.missing:
         place = _named_location(found, before, after, held_out)
-    elif beyond is not None:
-        place = _beyond_location(found, before, after, held_out, beyond)
+    elif curves:
+        place = _beyond_location(found, before, after, held_out, curves[0])
     else:
         return None
     return replace(place, statement=place.statement + WIDER) if wider else place
@@ -157,9 +160,19 @@ def _beyond_location(
         times=times,
         regimes=tuple(replace(regime, unit=beyond.x_unit) for regime in regimes),
         statement=f"What {keyed(channel, joint)} is off by enters by the {beyond.enters} and follows {name}."
-        + locate.whose(before, after),
+        + locate.whose(before, after)
+        + _not_all(after),
         recordings=recordings,
     )
+
+
+def _not_all(after: Score) -> str:
+    """A sentence: which joints still leave more than noise, since a curve over one coordinate may not do."""
+    ratios = {
+        keyed(c.channel, c.joint): c.rmse / c.noise_floor for c in after.channels if c.joint is not None
+    }
+    left = [f"{key} {ratio:.1f} times its noise floor" for key, ratio in ratios.items() if ratio > MISNAMED]
+    return f" That is not all: it leaves {', '.join(left)}." if left else ""
 
 
 def _channel(before: Score, after: Score) -> tuple[str, int | None]:

@@ -18,21 +18,25 @@ from labhil.diagnose.curve import (
     gauged,
     glance,
     handed_over,
+    in_blocks,
     length_of,
     lengthened,
+    minimised,
     refined,
     rows_beside,
     shortened,
 )
-from labhil.diagnose.evidence import Evidence, effective_samples, heldout_gain
+from labhil.diagnose.evidence import Evidence, bic, effective_samples, heldout_gain
 from labhil.diagnose.judge import TRUSTED, Data, supported
-from labhil.identify.extended import NAME, Coordinate
+from labhil.diagnose.rest import STANDS_IN
+from labhil.identify.extended import NAME, Coordinate, ExtendedModel
 from labhil.identify.fitted import Fitted
+from labhil.identify.kept_curve import KeptCurve
 from labhil.identify.score import Score, score, scored_horizon
 from labhil.identify.statistics import Estimate
 from labhil.identify.windows import fit_windows
-from labhil.physics.extra_force import Over, Yielding
-from labhil.physics.model import Model
+from labhil.physics.extra_force import MovedPart, Over, Yielding
+from labhil.physics.model import unit_of
 from labhil.signals import FloatArray
 
 REACHED = 1.05
@@ -71,11 +75,13 @@ class Unmodelled:
     ``x`` (m,) of the first of them, with a pointwise 99 % band ``low`` … ``high``. By ``acts`` it is a force
     along the positive direction, or the level of a friction (−value·sgn v), or a damping (−value·v).
     ``model`` and ``fit`` have it in them; ``before`` and ``after`` are held-out scores; ``share`` is what of
-    the mismatch it explains there, (mse_before − mse_after)/(mse_before − floor²). ``degrees`` are the
-    effective degrees of freedom of the whole fit, ``rows`` the model's own parameters in it.
+    the mismatch it explains there, (mse_before − mse_after)/(mse_before − floor²), of its joint where it has
+    one. ``degrees`` are the effective degrees of freedom of the whole fit, ``rows`` the model's own
+    parameters in it.
     """
 
     term: str
+    joint: int | None
     enters: str
     depends_on: tuple[str, ...]
     acts: Over
@@ -88,7 +94,7 @@ class Unmodelled:
     formula: str | None
     statement: str
     evidence: Evidence
-    model: Model
+    model: ExtendedModel
     fit: Fitted
     before: Score
     after: Score
@@ -96,49 +102,58 @@ class Unmodelled:
     degrees: float
     rows: list[Estimate]
 
+    @property
+    def kept(self) -> KeptCurve:
+        """The curve as a part of a model."""
+        coordinate = self.model.coordinate
+        return KeptCurve(coordinate, self.x, self.value, self.low, self.high, self.unit, self.formula)
 
-def unmodelled(data: Data, final: Fitted) -> Unmodelled | None:
-    """The force over one coordinate that brings a fitted model closest to the data; None if none does.
 
-    It has to be supported by the search data and by the held-out ones. The model must take a force.
+def unmodelled(data: Data, final: Fitted, part: MovedPart) -> Unmodelled | None:
+    """The force on ``part`` over one coordinate that brings a fitted model closest to the data, or None.
+
+    It has to be supported by the search data and by the held-out ones, and on a joint has to explain half of
+    what these show there, or it only stands in for something else. The model must take a force.
     """
     model = final.problem.model
-    if not isinstance(model, Yielding):
-        return None
+    assert isinstance(model, Yielding)
     judged = data.judge(final.theta)[0]
     if max(final.noise, judged.rmse / judged.noise_floor) < REACHED:
         return None
-    chosen = _best(final, model)
+    chosen = _best(final, model, part)
     if chosen is None:
         return None
     evidence = _evidence(data, final, judged, chosen)
     if not supported(evidence, TRUSTED):
         return None
-    return _answer(data, final, chosen, evidence)
+    found = _answer(data, final, chosen, evidence)
+    return None if part.joint is not None and found.share < STANDS_IN else found
 
 
-def coordinates_of(model: Yielding) -> list[Coordinate]:
-    """Everything that a force may be a function of, with and without the sign of velocity."""
-    position, velocity = model.moves_by
+def coordinates_of(model: Yielding, part: MovedPart) -> list[Coordinate]:
+    """Everything that a force on a part may be a function of, with and without the sign of velocity.
+
+    Positions of other parts are among it: a cable or a spring may be tied to both.
+    """
+    others = [each.position for each in model.moved if each != part]
+    ways = [
+        *((part.position, acts) for acts in (Over.POSITION, Over.POSITION_AGAINST, Over.DAMPING)),
+        *((part.velocity, acts) for acts in (Over.VELOCITY, Over.SPEED_AGAINST)),
+        *((position, Over.POSITION) for position in others),
+    ]
     units = model.coordinate_units
-    found = []
-    if position:
-        found += [
-            Coordinate(position, units[position], acts, model.turn)
-            for acts in (Over.POSITION, Over.POSITION_AGAINST, Over.DAMPING)
-        ]
-    found += [Coordinate(velocity, units[velocity], acts) for acts in (Over.VELOCITY, Over.SPEED_AGAINST)]
-    return found
+    return [Coordinate(name, unit_of(units, name) or "", acts, part) for name, acts in ways if name]
 
 
-def _given(final: Fitted) -> list[Coordinate]:
+def _given(final: Fitted, part: MovedPart) -> list[Coordinate]:
     """Inputs and their rates, which the record gives."""
     model, record = final.problem.model, final.problem.record
     names = {f"{name}{rate}" for name in record.input_names for rate in ("", "_rate")}
-    return [Coordinate(n, unit, Over.TIME) for n, unit in model.coordinate_units.items() if n in names]
+    units = {name: unit for name, unit in model.coordinate_units.items() if name in names}
+    return [Coordinate(name, unit, Over.TIME, part) for name, unit in units.items()]
 
 
-def _best(final: Fitted, model: Yielding) -> Curved | None:
+def _best(final: Fitted, model: Yielding, part: MovedPart) -> Curved | None:
     """The curve with the least criterion, of all coordinates that vary.
 
     Glances are on windows so short that even a strong effect is nearly a linear one.
@@ -146,12 +161,15 @@ def _best(final: Fitted, model: Yielding) -> Curved | None:
     short, longer = _begun(final)
     problem = short.problem
     along = model.coordinates(short.theta, problem.record, problem.windows, short.solution.point.states)
-    possible = [(c, c.of(along)) for c in coordinates_of(model) + _given(final)]
+    possible = [(c, c.of(along)) for c in coordinates_of(model, part) + _given(final, part)]
     looks = [glance(short, coordinate, values) for coordinate, values in possible if np.ptp(values) > 0.0]
     if not looks:
         return None
     effective = _worth(looks)
     looks.sort(key=lambda look: criterion(look, effective))
+    if not model.state_names:
+        # inverse dynamics is linear in a curve: there a glance is as good as what follows
+        return gauged(minimised(begun(looks[0]), None, ITERATIONS))
     trials = _leading([refined(begun(look), ITERATIONS) for look in looks[:REFINED]])
     for length in longer:
         windows = fit_windows(problem.record, length)
@@ -161,6 +179,8 @@ def _best(final: Fitted, model: Yielding) -> Curved | None:
 
 def _begun(final: Fitted) -> tuple[Fitted, tuple[float, ...]]:
     """The fit on the longest windows on which its errors are moderate, and the lengths (s) back."""
+    if not final.problem.model.state_names:
+        return in_blocks(final), ()
     short = final
     longer: tuple[float, ...] = ()
     for share in SHORTER:
@@ -180,21 +200,16 @@ def _leading(trials: Sequence[Curved]) -> list[Curved]:
 
 def _worth(trials: Sequence[Curved]) -> float:
     """Samples that count: of the fit with the least residuals, for those of a bad one are all alike."""
-    return effective_samples(min(trials, key=lambda trial: trial.fitted.solution.cost).fitted)
+    best = min(trials, key=lambda trial: trial.fitted.solution.cost)
+    return effective_samples(best.fitted, best.joint)
 
 
 def _evidence(data: Data, final: Fitted, before: Score, chosen: Curved) -> Evidence:
-    effective = effective_samples(chosen.fitted)
-    power = float(np.mean(final.solution.residuals**2))
-    without = effective * np.log(power) + len(final.problem.free) * np.log(effective)
-    after = judged(data, chosen.model, chosen.fitted.theta, before)
-    gain, p_value = heldout_gain(before, after)
-    return Evidence(criterion(chosen, effective) - float(without), p_value, gain)
-
-
-def judged(data: Data, model: Model, theta: FloatArray, like: Score) -> Score:
-    """Score another model on the held-out windows of a score."""
-    return score(model, theta, data.test, data.test_sigma, like.horizon)
+    joint = chosen.joint
+    effective = effective_samples(chosen.fitted, joint)
+    after = score(chosen.model, chosen.fitted.theta, data.test, data.test_sigma, before.horizon)
+    gain, p_value = heldout_gain(before.of_joint(joint), after.of_joint(joint))
+    return Evidence(criterion(chosen, effective) - bic(final, effective, joint=joint), p_value, gain)
 
 
 def _answer(data: Data, final: Fitted, chosen: Curved, evidence: Evidence) -> Unmodelled:
@@ -204,11 +219,11 @@ def _answer(data: Data, final: Fitted, chosen: Curved, evidence: Evidence) -> Un
     coordinate = chosen.model.coordinate
     curve = band(chosen)
     unit = chosen.model.coefficients[0].unit
-    velocity = chosen.model.inner.moves_by[1]
-    also = (velocity,) if coordinate.acts in (Over.POSITION_AGAINST, Over.DAMPING) else ()
-    excess = before.mse - after.noise_floor**2
+    part = coordinate.part
+    also = (part.velocity,) if coordinate.acts in (Over.POSITION_AGAINST, Over.DAMPING) else ()
     return Unmodelled(
         term=NAME,
+        joint=part.joint,
         enters="force",
         depends_on=(coordinate.name, *also),
         acts=coordinate.acts,
@@ -225,19 +240,27 @@ def _answer(data: Data, final: Fitted, chosen: Curved, evidence: Evidence) -> Un
         fit=chosen.fitted,
         before=before,
         after=after,
-        share=float((before.mse - after.mse) / excess) if excess > 0.0 else 0.0,
+        share=_share(before.of_joint(part.joint), after.of_joint(part.joint)),
         degrees=chosen.degrees,
         rows=rows_beside(chosen),
     )
+
+
+def _share(before: Score, after: Score) -> float:
+    """What of the excess over the noise floor is gone."""
+    excess = before.mse - after.noise_floor**2
+    return (before.mse - after.mse) / excess if excess > 0.0 else 0.0
 
 
 def _statement(chosen: Curved, curve: Band, unit: str) -> str:
     """One or two sentences: over what, which way, how strong and where."""
     coordinate = chosen.model.coordinate
     most = int(np.argmax(np.abs(curve.value)))
-    way = WAYS.get(coordinate.acts, "a force")
+    joint = coordinate.part.joint
+    way = WAYS.get(coordinate.acts, "a force" if joint is None else "a torque")
+    where = "" if joint is None else f" on joint {joint}"
     text = (
-        f"Something that no named effect explains acts as {way} that depends on {coordinate.name}: "
+        f"Something that no named effect explains acts{where} as {way} that depends on {coordinate.name}: "
         f"{curve.value[most]:.3g} {unit} where it is strongest, at {curve.x[most]:.3g} {coordinate.unit}."
     )
     if handed_over(chosen):

@@ -54,7 +54,7 @@ def swapped(
         if not groups and not narrowed:
             continue
         progress(f"weighing {', '.join(group[-1] for group in groups)} instead of {term}")
-        left = data.left(current.theta)
+        left = data.left(data.model, current.theta)
         others = confirm(data, reduced, groups, executor, HOPELESS * current.solution.cost, current)
         for trial in [*narrowed, *others[:FINALISTS]]:
             rival, delta = trial.terms[-1], odds(data, current, trial, left)

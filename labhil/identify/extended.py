@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labhil.identify.spline import Spline
-from labhil.physics.extra_force import ExtraForce, Over, Yielding
-from labhil.physics.model import Metric, Model, Record, Windows
+from labhil.physics.extra_force import ExtraForce, MovedPart, Over, Yielding, along_positive
+from labhil.physics.model import Metric, Model, Record, Windows, unit_of
 from labhil.physics.terms import Enters, Parameter, Term, Yardstick
 from labhil.signals import FloatArray
 
@@ -28,20 +28,31 @@ RESOLVED = 0.5
 class Coordinate:
     """What the force is a function of.
 
-    ``name`` is the coordinate's, ``unit`` its unit; ``acts`` says which way; ``turn`` is the period of a
-    position that repeats (0: none).
+    ``name`` is the coordinate's, ``unit`` its unit; ``acts`` says which way, ``part`` on what.
     """
 
     name: str
     unit: str
     acts: Over
-    turn: float = 0.0
+    part: MovedPart
 
-    def force(self, curve: FloatArray, velocity: FloatArray) -> FloatArray:
-        """The force along the positive direction of values of the curve (N,) at velocities (N,)."""
-        if self.acts in (Over.POSITION_AGAINST, Over.SPEED_AGAINST):
-            return np.asarray(-curve * np.sign(velocity))
-        return np.asarray(-curve * velocity) if self.acts is Over.DAMPING else curve
+    @property
+    def turn(self) -> float:
+        """Period of a position that repeats; 0 of anything else."""
+        return self.part.turn if self.name == self.part.position else 0.0
+
+    def beside(
+        self, effort: FloatArray, curve: FloatArray, coordinates: Mapping[str, FloatArray]
+    ) -> FloatArray:
+        """A model's ``effort``, (N,) or (N, joints), with the force of values of the curve (N,)."""
+        velocity = coordinates[self.part.velocity]
+        force = along_positive(self.acts, curve, velocity, np.sign(velocity))
+        if self.part.joint is None:
+            return np.asarray(effort + force)
+        # of an arm it is what the drives have to exert
+        whole = effort.copy()
+        whole[:, self.part.joint] -= force
+        return whole
 
     def of(self, along: Mapping[str, FloatArray]) -> FloatArray:
         """Its values where a model's coordinates are ``along``, (N,)."""
@@ -49,6 +60,11 @@ class Coordinate:
         if self.acts is Over.SPEED_AGAINST:
             return np.abs(values)
         return np.mod(values, self.turn) if self.turn else values
+
+    def force(self, grid: FloatArray, values: FloatArray, width: float) -> ExtraForce:
+        """As a model takes it: ``values`` (m,) at evenly spaced places ``grid`` (m,)."""
+        joint = self.part.joint
+        return ExtraForce(self.acts, grid, values, width, turn=self.turn, of=self.name, joint=joint)
 
     def of_record(self, record: Record) -> FloatArray:
         """Its values along a record, (n,), where it is an input, an input's rate or time."""
@@ -80,9 +96,11 @@ class ExtendedModel:
         self.forgets = inner.forgets
         self.horizon = inner.horizon
         self.coordinate_units = inner.coordinate_units
-        per = f"/({inner.coordinate_units[inner.moves_by[1]]})" if coordinate.acts is Over.DAMPING else ""
+        joint = coordinate.part.joint
+        speed = unit_of(inner.coordinate_units, coordinate.part.velocity)
+        per = f"/({speed})" if coordinate.acts is Over.DAMPING else ""
         self.coefficients = tuple(
-            Parameter(f"{NAME}.coefficient_{k}", inner.force_unit + per, size, step=STEP)
+            Parameter(f"{NAME}.coefficient_{k}", inner.force_unit + per, size, step=STEP, joint=joint)
             for k in range(spline.count)
         )
         forward = coordinate.acts in (Over.TIME, Over.POSITION, Over.VELOCITY)
@@ -90,9 +108,9 @@ class ExtendedModel:
         term = Term(
             NAME, Enters.FORCE, f"a force along {coordinate.name}{direction} that no named effect explains",
             f"F = f({coordinate.name})", "estimated: a penalised spline (Eilers and Marx 1996)",
-            f"motion over the whole range of {coordinate.name}", self.coefficients,
+            f"motion over the whole range of {coordinate.name}", self.coefficients, joint=joint,
         )  # fmt: skip
-        self.terms: Mapping[str, Term] = {**inner.terms, NAME: term}
+        self.terms: Mapping[str, Term] = {**inner.terms, term.key: term}
         self.parameters = (*inner.parameters, *self.coefficients)
 
     def split(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -132,11 +150,11 @@ class ExtendedModel:
     def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """The inner model's force and the curve's, (N,)."""
         own, coefficients = self.split(theta)
-        force = self.inner.effort(own, coordinates)
+        effort = self.inner.effort(own, coordinates)
         if self.coordinate.name not in coordinates:
-            return force
+            return effort
         curve = self.spline.design(self.coordinate.of(coordinates)) @ coefficients
-        return np.asarray(force + self.coordinate.force(curve, coordinates[self.inner.moves_by[1]]))
+        return self.coordinate.beside(effort, curve, coordinates)
 
     def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
         """The inner model's."""
@@ -144,10 +162,10 @@ class ExtendedModel:
 
     def _under(self, coefficients: FloatArray, record: Record) -> Model:
         """The inner model under the force that these coefficients make of the record."""
-        spline, acts = self.spline, self.coordinate.acts
+        spline = self.spline
         grid = np.linspace(spline.low, spline.high, NODES)
-        force = ExtraForce(acts, grid, grid, RESOLVED * spline.narrowest, turn=self.coordinate.turn)
-        if acts is Over.TIME:
+        force = self.coordinate.force(grid, grid, RESOLVED * spline.narrowest)
+        if force.acts is Over.TIME:
             course = spline.design(self.coordinate.of_record(record)) @ coefficients
             return self.inner.with_force(replace(force, course=course))
         return self.inner.with_force(replace(force, values=spline.on(NODES) @ coefficients))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,19 +38,21 @@ class KeptCurve:
 
     def force(self, record: Record) -> ExtraForce:
         """As a model takes it, on this record."""
-        span = float(self.x[-1] - self.x[0])
-        course = self.at(self.coordinate.of_record(record)) if self.coordinate.acts is Over.TIME else None
-        return ExtraForce(
-            self.coordinate.acts, self.x, self.value, RESOLVED * span, course, self.coordinate.turn
-        )
+        force = self.coordinate.force(self.x, self.value, RESOLVED * float(self.x[-1] - self.x[0]))
+        if self.coordinate.acts is not Over.TIME:
+            return force
+        return replace(force, course=self.at(self.coordinate.of_record(record)))
 
 
-class ModelUnderCurve:
-    """A model under a known force (satisfies ``physics.model.Model``); all else is the inner one's."""
+class ModelUnderCurves:
+    """A model under known forces (satisfies ``physics.model.Model``); all else is the inner one's.
 
-    def __init__(self, inner: Yielding, curve: KeptCurve) -> None:
+    Of a single moving part one force, of an arm one or several on each joint.
+    """
+
+    def __init__(self, inner: Yielding, curves: Sequence[KeptCurve]) -> None:
         self.inner = inner
-        self.curve = curve
+        self.curves = tuple(curves)
         self.kind = inner.kind
         self.state_names = inner.state_names
         self.state_scale = inner.state_scale
@@ -82,7 +84,7 @@ class ModelUnderCurve:
     def coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
     ) -> Mapping[str, FloatArray]:
-        """Coordinates along the simulation under the force, each (N,)."""
+        """Coordinates along the simulation under the forces, each (N,)."""
         return self._under(record).coordinates(theta, record, windows, states)
 
     def driven(
@@ -92,17 +94,24 @@ class ModelUnderCurve:
         return self.inner.driven(theta, record, windows, along)
 
     def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
-        """The inner model's force and the curve's, (N,)."""
-        force = self.inner.effort(theta, coordinates)
-        coordinate = self.curve.coordinate
-        if coordinate.name not in coordinates:
-            return force
-        curve = self.curve.at(coordinate.of(coordinates))
-        return np.asarray(force + coordinate.force(curve, coordinates[self.inner.moves_by[1]]))
+        """The inner model's force and the curves', (N,) or (N, joints)."""
+        effort = self.inner.effort(theta, coordinates)
+        for curve in self.curves:
+            if curve.coordinate.name in coordinates:
+                values = curve.at(curve.coordinate.of(coordinates))
+                effort = curve.coordinate.beside(effort, values, coordinates)
+        return effort
 
     def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
         """The inner model's."""
         return self.inner.yardsticks(record)
 
     def _under(self, record: Record) -> Model:
-        return self.inner.with_force(self.curve.force(record))
+        return under(self.inner, self.curves, record)
+
+
+def under(model: Yielding, curves: Sequence[KeptCurve], record: Record) -> Yielding:
+    """The model under these curves on one record."""
+    for curve in curves:
+        model = model.with_force(curve.force(record))
+    return model

@@ -106,6 +106,15 @@ class Score(Figures):
     states: FloatArray
     recordings: tuple[RecordingScore, ...] = ()
 
+    def of_joint(self, joint: int | None) -> Score:
+        """What it says of one joint's output; of None the whole."""
+        if joint is None:
+            return self
+        own = [k for k, channel in enumerate(self.channels) if channel.joint == joint]
+        channels, each = tuple(self.channels[k] for k in own), self.recordings
+        recordings = tuple(replace(r, channels=tuple(r.channels[k] for k in own)) for r in each)
+        return replace(self, channels=channels, errors=self.errors[:, own], recordings=recordings)
+
 
 def scored_horizon(model: Model, theta: FloatArray, record: Record) -> float:
     """The horizon of a model's metric, s; where it is longer than a recording, one that fits twice.

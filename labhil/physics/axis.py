@@ -15,7 +15,7 @@ from scipy.linalg import block_diag
 from labhil.physics import sliding
 from labhil.physics.drive_balance import CUT_OFF, Balance, DriveMotion
 from labhil.physics.driven import DrivenPath
-from labhil.physics.extra_force import ExtraForce
+from labhil.physics.extra_force import ExtraForce, MovedPart
 from labhil.physics.friction_terms import friction_terms, load_dependent_friction
 from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.path_terms import input_terms, output_terms
@@ -164,8 +164,7 @@ class AxisModel:
     forgets = False
     state_names = ("position", "axis_velocity")
     force_unit = "N"
-    moves_by = ("position", "axis_velocity")
-    turn = 0.0
+    moved = (MovedPart("position", "axis_velocity"),)
     _extra: ExtraForce | None = None
 
     def __init__(self, rig: RigFile, record: Record | None = None) -> None:

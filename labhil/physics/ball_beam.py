@@ -13,7 +13,7 @@ import numpy as np
 
 from labhil.physics import input_path, rolling
 from labhil.physics.driven import lagged
-from labhil.physics.extra_force import ExtraForce
+from labhil.physics.extra_force import ExtraForce, MovedPart
 from labhil.physics.friction_terms import friction_terms
 from labhil.physics.model import Metric, Record, Windows, index_of, start_values
 from labhil.physics.path_terms import input_terms, offset_term, output_terms
@@ -116,8 +116,7 @@ class BallBeamModel:
         "beam_angle_rate": "rad/s",
     }
     state_names = ("ball_position", "ball_velocity")
-    moves_by = ("ball_position", "ball_velocity")
-    turn = 0.0
+    moved = (MovedPart("ball_position", "ball_velocity"),)
     _extra: ExtraForce | None = None
     state_scale = np.array([0.01, 0.05])
     metric = Metric.WINDOWED_SIMULATION

@@ -14,7 +14,7 @@ import numpy as np
 from labhil.physics import winding
 from labhil.physics.dc_motor_terms import REFERENCE, Sizes, catalogue, own_parameters
 from labhil.physics.driven import DrivenPath
-from labhil.physics.extra_force import ExtraForce
+from labhil.physics.extra_force import ExtraForce, MovedPart
 from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.terms import Term, Yardstick
 from labhil.physics.values import Values, horizon_of, known_numbers, near
@@ -50,7 +50,6 @@ class DcMotorModel:
     forgets = True
     state_names = ("shaft_velocity", "current")
     force_unit = "N·m"
-    turn = 2.0 * np.pi
     _extra: ExtraForce | None = None
 
     def __init__(self, rig: RigFile, record: Record | None = None) -> None:
@@ -72,7 +71,7 @@ class DcMotorModel:
         self._path = DrivenPath()
         # without a measured angle each window counts its own from zero
         told = record is not None and "angle" in record.auxiliary
-        self.moves_by = ("shaft_angle" if told else "", "shaft_velocity")
+        self.moved = (MovedPart("shaft_angle" if told else "", "shaft_velocity", 2.0 * np.pi),)
 
     def with_force(self, force: ExtraForce) -> DcMotorModel:
         """The same motor under one more torque, N·m."""

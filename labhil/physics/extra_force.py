@@ -38,6 +38,33 @@ class Over(IntEnum):
     """A curve over position times the velocity, against the motion."""
 
 
+def along_positive(acts: Over, curve: FloatArray, velocity: FloatArray, direction: FloatArray) -> FloatArray:
+    """The force along the positive direction of values of a curve (N,), at velocities (N,).
+
+    ``direction`` (N,) is the one that dry friction acts against: sgn of the velocity, or bristles'.
+    """
+    if acts in (Over.POSITION_AGAINST, Over.SPEED_AGAINST):
+        return np.asarray(-curve * direction)
+    return np.asarray(-curve * velocity) if acts is Over.DAMPING else curve
+
+
+@dataclass(frozen=True, slots=True)
+class MovedPart:
+    """What one more force may act on.
+
+    ``position`` and ``velocity`` are names of coordinates, empty where recordings do not tell them; ``turn``
+    is the period of the position, 0 where it does not repeat; ``joint`` the joint of an arm that it is.
+    ``force`` and ``speed`` are its typical ones, in units of the model's yardsticks.
+    """
+
+    position: str
+    velocity: str
+    turn: float = 0.0
+    joint: int | None = None
+    force: float = 1.0
+    speed: float = 1.0
+
+
 class Beyond(NamedTuple):
     """A force over the inertia as a kernel holds it.
 
@@ -61,7 +88,8 @@ class ExtraForce:
 
     Either a curve over the simulated motion, with its values (m,) at the evenly spaced ``grid`` (m,), or a
     ``course`` (n,) along the record, constant from each sample to the next. ``turn`` is the period of a
-    position that repeats, 0 where it does not; ``width`` the least width of what the curve may show.
+    position that repeats, 0 where it does not; ``width`` the least width of what the curve may show. Where a
+    model has several parts it acts on that of the ``joint``, and ``of`` names the coordinate of the curve.
     """
 
     acts: Over
@@ -70,6 +98,8 @@ class ExtraForce:
     width: float
     course: FloatArray | None = None
     turn: float = 0.0
+    of: str = ""
+    joint: int | None = None
 
     def over(self, inertia: float, record: Record) -> tuple[Beyond, FloatArray]:
         """As a kernel takes it: the curve, and the course (n,) along a record, both over the inertia."""
@@ -91,20 +121,15 @@ class Yielding(Model, Protocol):
         ...
 
     @property
-    def moves_by(self) -> tuple[str, str]:
-        """Names of the coordinates over which a curve may be: position and velocity of what is moved.
+    def moved(self) -> tuple[MovedPart, ...]:
+        """What that force may act on: the one part that moves, or every joint."""
+        ...
 
-        An empty name where recordings do not tell that coordinate.
+    def with_force(self, force: ExtraForce) -> Yielding:
+        """The same model under one more force; this one stays as it is.
+
+        A model of several parts may be under several; the force on a single part takes the place of another.
         """
-        ...
-
-    @property
-    def turn(self) -> float:
-        """Period of the position, 0 where it does not repeat."""
-        ...
-
-    def with_force(self, force: ExtraForce) -> Model:
-        """The same model under one more force; this one stays as it is."""
         ...
 
 

@@ -326,6 +326,11 @@ class Model(Protocol):
         ...
 
 
+def unit_of(units: Mapping[str, str], name: str) -> str | None:
+    """Unit of a coordinate, None where there is none; a joint's goes by its vector's name and a number."""
+    return units.get(name, units.get(name.rpartition("_")[0]))
+
+
 def index_of(parameters: Sequence[Parameter]) -> dict[str, int]:
     """Where each parameter stands in a vector ``theta``, by key."""
     return {parameter.key: i for i, parameter in enumerate(parameters)}

@@ -77,7 +77,7 @@ class SeveralModel:
         }
         self._places = _places(copies, count if apart else 1)
         self._apart: dict[int, tuple[Record, tuple[Record, ...]]] = {}
-        self._force: ExtraForce | None = None
+        self._forces: tuple[ExtraForce, ...] = ()
 
     def of_recording(self, theta: FloatArray, number: int) -> FloatArray:
         """The inner model's vector for the recording of a number (from 1).
@@ -152,13 +152,13 @@ class SeveralModel:
         return {yardstick: max(each[yardstick] for each in found) for yardstick in found[0]}
 
     def _under(self, share: Share) -> Model:
-        """The model of a recording, under its share of a force beside the model's own."""
-        if self._force is None:
-            return self.inner
-        assert isinstance(self.inner, Yielding)
-        course = self._force.course
-        force = self._force if course is None else replace(self._force, course=course[share.span])
-        return self.inner.with_force(force)
+        """The model of a recording, under its share of the forces beside the model's own."""
+        model = self.inner
+        for force in self._forces:
+            assert isinstance(model, Yielding)
+            own = None if force.course is None else force.course[share.span]
+            model = model.with_force(replace(force, course=own))
+        return model
 
     def _of(self, record: Record, windows: Windows) -> Iterator[Share]:
         """What windows have of each recording in which some of them lie."""
@@ -192,13 +192,12 @@ class SeveralYieldingModel(SeveralModel):
     def __init__(self, inner: Yielding, names: Sequence[str], count: int) -> None:
         super().__init__(inner, names, count)
         self.force_unit = inner.force_unit
-        self.moves_by = inner.moves_by
-        self.turn = inner.turn
+        self.moved = inner.moved
 
     def with_force(self, force: ExtraForce) -> SeveralYieldingModel:
         """The same recordings under one more force; its course, if any, is along the whole record."""
         other = copy.copy(self)
-        other._force = force
+        other._forces = (*self._forces, force)
         return other
 
 

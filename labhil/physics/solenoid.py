@@ -21,7 +21,7 @@ import numpy as np
 from labhil.errors import RigFileError
 from labhil.physics import input_path, sliding
 from labhil.physics.driven import DrivenPath
-from labhil.physics.extra_force import ExtraForce
+from labhil.physics.extra_force import ExtraForce, MovedPart
 from labhil.physics.friction_terms import friction_terms, load_dependent_friction
 from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.path_terms import input_terms, offset_term, output_terms
@@ -159,8 +159,7 @@ class SolenoidModel:
     forgets = True
     state_names = ("plunger_position", "plunger_velocity")
     force_unit = "N"
-    moves_by = ("plunger_position", "plunger_velocity")
-    turn = 0.0
+    moved = (MovedPart("plunger_position", "plunger_velocity"),)
     _extra: ExtraForce | None = None
     never_seen: Mapping[str, str] = {
         "motional_emf": "the current is measured: a voltage that the motion induces changes nothing else",

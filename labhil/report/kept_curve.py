@@ -1,4 +1,4 @@
-"""The curve of a diagnosis, as its JSON has it, back in a model."""
+"""The curves of a diagnosis, as its JSON has them, back in a model."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy as np
 
 from labhil.errors import ModelFileError
 from labhil.identify.extended import Coordinate
-from labhil.identify.kept_curve import KeptCurve, ModelUnderCurve
-from labhil.physics.extra_force import Over, Yielding
-from labhil.physics.model import Model
+from labhil.identify.kept_curve import KeptCurve, ModelUnderCurves
+from labhil.physics.extra_force import MovedPart, Over, Yielding
+from labhil.physics.model import Model, unit_of
 from labhil.signals import FloatArray
 
 EVEN = 1e-6
@@ -21,35 +21,41 @@ EVEN = 1e-6
 
 
 def under_kept_curve(model: Model, path: Path | None) -> Model:
-    """The model under the curve that a fit or diagnosis file has, or as it is where that has none.
+    """The model under the curves that a fit or diagnosis file has, or as it is where that has none.
 
-    Raises ModelFileError where the file's curve is none that this model takes.
+    Raises ModelFileError where one of the file's curves is none that this model takes.
     """
-    stated = None if path is None else _stated(path)
-    if path is None or stated is None:
+    stated = [] if path is None else _stated(path)
+    if path is None or not stated:
         return model
     if not isinstance(model, Yielding):
         raise ModelFileError(f"{path}: curve: a model of {model.kind} takes no force beside its terms")
-    return ModelUnderCurve(model, _curve(path, stated, model))
+    return ModelUnderCurves(model, [_curve(path, each, model) for each in stated])
 
 
 def curve_note(path: Path | None) -> list[str]:
-    """What to tell a person of the curve that a model file brings along; nothing where it has none."""
-    stated = None if path is None else _stated(path)
-    if stated is None:
-        return []
+    """What to tell a person of the curves that a model file brings along; nothing where it has none."""
     return [
-        f"The model is under the force that {path} has as a curve over {', '.join(stated['depends_on'])}."
+        f"The model is under the force{_on_joint(stated)} that {path} has as a curve over "
+        f"{', '.join(stated['depends_on'])}."
+        for stated in ([] if path is None else _stated(path))
     ]
 
 
-def curve_json(model: Model) -> dict[str, Any] | None:
-    """The curve of a model under one, as a diagnosis states it; None of any other."""
-    if not isinstance(model, ModelUnderCurve):
-        return None
-    curve = model.curve
+def _on_joint(stated: Mapping[str, Any]) -> str:
+    joint = stated.get("joint")
+    return "" if joint is None else f" on joint {joint}"
+
+
+def curves_json(model: Model) -> list[dict[str, Any]]:
+    """The curves of a model under some, as a diagnosis states them; none of any other."""
+    return [_stating(curve) for curve in model.curves] if isinstance(model, ModelUnderCurves) else []
+
+
+def _stating(curve: KeptCurve) -> dict[str, Any]:
     return {
         "depends_on": [curve.coordinate.name],
+        "joint": curve.coordinate.part.joint,
         "acts": curve.coordinate.acts.name.lower(),
         "x": [curve.x],
         "value": curve.value,
@@ -59,15 +65,16 @@ def curve_json(model: Model) -> dict[str, Any] | None:
     }
 
 
-def _stated(path: Path) -> Mapping[str, Any] | None:
-    """The field ``curve`` of a file that was found to be a model's elsewhere."""
+def _stated(path: Path) -> list[Mapping[str, Any]]:
+    """The fields ``curve`` and ``further_curves`` of a file that was found to be a model's elsewhere."""
     try:
-        stated = json.loads(path.read_text(encoding="utf-8")).get("curve")
-    except (OSError, ValueError, AttributeError):
-        return None
-    if stated is not None and not isinstance(stated, dict):
-        raise ModelFileError(f"{path}: curve: expected an object or null, found {stated!r}")
-    return stated
+        whole = json.loads(path.read_text(encoding="utf-8"))
+        stated = [whole.get("curve"), *(whole.get("further_curves") or ())]
+    except (OSError, ValueError, AttributeError, TypeError):
+        return []
+    if any(each is not None and not isinstance(each, dict) for each in stated):
+        raise ModelFileError(f"{path}: curve: expected an object or null, found {stated!r}"[:300])
+    return [each for each in stated if each is not None]
 
 
 def _curve(path: Path, stated: Mapping[str, Any], model: Yielding) -> KeptCurve:
@@ -85,12 +92,22 @@ def _curve(path: Path, stated: Mapping[str, Any], model: Yielding) -> KeptCurve:
     steps = np.diff(x)
     if not steps[0] > 0.0 or np.ptp(steps) > EVEN * (x[-1] - x[0]):
         raise ModelFileError(f"{path}: curve: x: expected rising, evenly spaced places")
-    if name not in model.coordinate_units:
+    unit = unit_of(model.coordinate_units, name)
+    if unit is None:
         known = ", ".join(model.coordinate_units)
         raise ModelFileError(f"{path}: curve: depends_on: expected one of {known}, found {name!r}")
-    turn = model.turn if acts in (Over.POSITION, Over.POSITION_AGAINST) else 0.0
-    coordinate = Coordinate(name, model.coordinate_units[name], acts, turn)
+    coordinate = Coordinate(name, unit, acts, _part(path, stated, model))
     return KeptCurve(coordinate, x, value, low, high, str(stated.get("unit", "")), stated.get("formula"))
+
+
+def _part(path: Path, stated: Mapping[str, Any], model: Yielding) -> MovedPart:
+    """What the curve acts on, by the ``joint`` of an arm; of anything else there is one part."""
+    joint = stated.get("joint")
+    for part in model.moved:
+        if part.joint == joint:
+            return part
+    known = ", ".join("null" if part.joint is None else str(part.joint) for part in model.moved)
+    raise ModelFileError(f"{path}: curve: joint: expected one of {known}, found {joint!r}")
 
 
 def _numbers(values: Any) -> FloatArray:

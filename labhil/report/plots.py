@@ -132,7 +132,8 @@ def _draw_curve(axes: Axes, curve: Curve) -> None:
     label = curve.formula or curve.acts.replace("_", " ")
     axes.plot(curve.x, curve.value, color=AFTER, lw=1.5, label=label)
     axes.axhline(0.0, color=MEASURED, lw=0.8)
-    finish(axes, "What no named effect explains", f"{curve.depends_on}, {curve.x_unit}", curve.unit)
+    where = "" if curve.joint is None else f" on joint {curve.joint}"
+    finish(axes, f"What no named effect explains{where}", f"{curve.depends_on}, {curve.x_unit}", curve.unit)
 
 
 def _draw_histogram(axes: Axes, diagnosis: Diagnosis, j: int) -> None:

@@ -52,10 +52,10 @@ def fit_json(
     estimator: str,
     seed: int,
     seconds: float,
-    curve: Mapping[str, Any] | None = None,
+    curves: Sequence[Mapping[str, Any]] = (),
 ) -> Any:
-    """The whole of a fit as plain JSON data; ``curve`` is a force that the model was under."""
-    kept = {} if curve is None else {"curve": curve}
+    """The whole of a fit as plain JSON data; ``curves`` are forces that the model was under."""
+    kept = {"curve": curves[0], "further_curves": curves[1:]} if curves else {}
     return _told(
         sources,
         kept
@@ -140,6 +140,7 @@ def diagnosis_json(diagnosis: Diagnosis, sources: Sequence[Source]) -> Any:
             "improvement": _improvement(diagnosis),
             "final": {"terms": list(diagnosis.final_terms), "parameters": _rows(diagnosis.final)},
             "curve": None if diagnosis.curve is None else _curve(diagnosis.curve),
+            "further_curves": [_curve(curve) for curve in diagnosis.further_curves],
             "seconds": diagnosis.seconds,
         },
     )
@@ -154,6 +155,7 @@ def _location(location: Location) -> dict[str, Any]:
 def _curve(curve: Curve) -> dict[str, Any]:
     return {
         "depends_on": [curve.depends_on],
+        "joint": curve.joint,
         "acts": curve.acts,
         "x": [curve.x],
         "value": curve.value,

@@ -17,7 +17,7 @@ from labhil.identify.windows import FEWEST_IN_WINDOW
 from labhil.physics.model import Model, index_of, terms_named
 from labhil.physics.rigs import rig_model
 from labhil.physics.several import for_every_recording
-from labhil.report.kept_curve import curve_json, under_kept_curve
+from labhil.report.kept_curve import curves_json, under_kept_curve
 from labhil.report.material import Material
 from labhil.report.results import accepted_of, diagnosis_json, fit_json, terms_of, values_of
 from labhil.report.still import refuse_still
@@ -75,7 +75,7 @@ def fit_study(
         result = replace(result, identifiability=judged)
     seconds = time.perf_counter() - began
     sources = material.sources("train")
-    data = fit_json(result, sources, model.kind, how.estimator, how.seed, seconds, curve_json(model))
+    data = fit_json(result, sources, model.kind, how.estimator, how.seed, seconds, curves_json(model))
     return FitResult(result, material, data)
 
 

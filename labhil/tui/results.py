@@ -284,8 +284,9 @@ def charts_of(
         order = np.argsort(x)
         axis = str(curves[f"{key}/axis"])
         yield f"{key.removeprefix('missing/')} over {axis}", [Curve(x[order], y[order], "curve-3", Pen.DOTS)]
-    if isinstance(part, DiagnosisPart) and part.curve is not None and len(part.curve.depends_on) == 1:
-        yield _curve(part.curve)
+    if isinstance(part, DiagnosisPart):
+        drawn = [curve for curve in (part.curve, *part.further_curves) if curve is not None]
+        yield from (_curve(curve) for curve in drawn if len(curve.depends_on) == 1)
 
 
 def _curve(curve: CurvePart) -> tuple[str, list[Curve]]:
@@ -294,4 +295,5 @@ def _curve(curve: CurvePart) -> tuple[str, list[Curve]]:
     for side in curve.ci99:
         label = "99 % band" if len(drawn) == 1 else ""
         drawn.append(Curve(x, np.array(side, dtype=float), "curve-measured", Pen.DOTS, label))
-    return f"what has no name, {curve.unit}, over {curve.depends_on[0]}", drawn
+    where = "" if curve.joint is None else f" on joint {curve.joint}"
+    return f"what has no name{where}, {curve.unit}, over {curve.depends_on[0]}", drawn

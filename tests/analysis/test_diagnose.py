@@ -186,7 +186,7 @@ TOP = {
     "schema": str, "recordings": list, "verdict": str, "p_value": NUMBER, "p_value_method": str,
     "p_value_floor": NUMBER, "baseline": dict, "changed": list, "location": (dict, type(None)),
     "missing": list, "rivals": list, "undecided": list, "excluded": list, "improvement": dict,
-    "final": dict, "curve": (dict, type(None)), "seconds": NUMBER,
+    "final": dict, "curve": (dict, type(None)), "further_curves": list, "seconds": NUMBER,
 }  # fmt: skip
 INSIDE = {
     "recordings": {

@@ -19,6 +19,8 @@ from labhil.diagnose.judge import Data
 from labhil.diagnose.unmodelled import Unmodelled, unmodelled
 from labhil.identify.fitted import Fitted, climb, start_theta
 from labhil.identify.windows import fit_windows, noise_of
+from labhil.physics.axis import AxisModel
+from labhil.physics.ball_beam import BallBeamModel
 from labhil.physics.extra_force import ExtraForce, Over, Yielding
 from labhil.physics.model import Record
 from labhil.physics.rigs import model_for
@@ -93,7 +95,7 @@ def test_a_sticky_patch_is_found_where_it_is() -> None:
     }
     records = [held_axis(("hidden_sticky_patch",), parameters, seed, 4000) for seed in (1, 2)]
     data, final = fitted(AXIS_RIG, AXIS_TERMS, *records)
-    found = unmodelled(data, final)
+    found = unmodelled(data, final, AxisModel.moved[0])
     assert found is not None
     assert (found.depends_on, found.acts) == (("position", "axis_velocity"), Over.POSITION_AGAINST)
     assert within(found, lambda x: 0.3 * np.exp(-0.5 * (x / 0.02) ** 2)) >= 0.9
@@ -108,7 +110,7 @@ def test_a_magnet_under_the_beam_is_found_where_it_is() -> None:
     data, final = fitted(
         BALL_BEAM_RIG, BALL_TERMS, *held_balls(("hidden_magnet",), {"hidden_magnet.pull": 0.005})
     )
-    found = unmodelled(data, final)
+    found = unmodelled(data, final, BallBeamModel.moved[0])
     assert found is not None
     assert (found.depends_on, found.acts, found.unit) == (("ball_position",), Over.POSITION, "N")
 
@@ -129,7 +131,8 @@ def test_nothing_is_found_where_nothing_is(rig: str) -> None:
         data, final = fitted(AXIS_RIG, AXIS_TERMS, *records)
     else:
         data, final = fitted(BALL_BEAM_RIG, BALL_TERMS, *held_balls((), {}))
-    assert unmodelled(data, final) is None
+    (part,) = data.model.moved
+    assert unmodelled(data, final, part) is None
 
 
 # every rig has a kernel with one more force, and compiling one takes half a minute

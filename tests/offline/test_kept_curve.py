@@ -11,13 +11,14 @@ import pytest
 from labhil.errors import ModelFileError
 from labhil.identify.extended import Coordinate
 from labhil.identify.fitted import start_theta
-from labhil.identify.kept_curve import KeptCurve, ModelUnderCurve
+from labhil.identify.kept_curve import KeptCurve, ModelUnderCurves
 from labhil.identify.windows import fit_windows
+from labhil.physics.axis import AxisModel
 from labhil.physics.extra_force import Over
 from labhil.physics.model import Record
 from labhil.physics.rigs import model_for
 from labhil.plants.axis import AxisPlant
-from labhil.report.kept_curve import curve_json, under_kept_curve
+from labhil.report.kept_curve import curves_json, under_kept_curve
 from labhil.rig import parse_rig
 from labhil.signals import Hold
 
@@ -36,12 +37,12 @@ def kept(acts: Over, name: str, record: Record) -> KeptCurve:
     values = record.outputs[:, 0] if acts is Over.POSITION else record.inputs[:, 0]
     x = np.linspace(values.min(), values.max(), 101)
     value = 8.0 * np.sin(5.0 * x / np.ptp(x))
-    return KeptCurve(Coordinate(name, "m", acts), x, value, value - 1.0, value + 1.0, "N")
+    return KeptCurve(Coordinate(name, "m", acts, AxisModel.moved[0]), x, value, value - 1.0, value + 1.0, "N")
 
 
-def of_rig(record: Record) -> ModelUnderCurve:
+def of_rig(record: Record) -> ModelUnderCurves:
     model = model_for(parse_rig(RIG, Path("rig.toml")), record)
-    return ModelUnderCurve(model, kept(Over.POSITION, "position", record))
+    return ModelUnderCurves(model, [kept(Over.POSITION, "position", record)])
 
 
 @pytest.mark.extended
@@ -56,7 +57,7 @@ def test_force_over_an_input_is_that_input_with_the_force_added() -> None:
         record.input_names, record.output_names, record.output_units, record.input_holds,
     )  # fmt: skip
     theta = start_theta(model, {"viscous_friction.coefficient": 200.0})
-    under = ModelUnderCurve(model, curve).simulate(theta, record, windows, states)
+    under = ModelUnderCurves(model, [curve]).simulate(theta, record, windows, states)
     assert np.ptp(under - model.simulate(theta, record, windows, states)) > 1e-3
     np.testing.assert_allclose(under, model.simulate(theta, pushed, windows, states), atol=1e-9)
 
@@ -66,9 +67,9 @@ def test_curve_survives_its_file(tmp_path: Path) -> None:
     record = bench()
     under = of_rig(record)
     path = tmp_path / "d.json"
-    path.write_text(json.dumps({"curve": curve_json(under)}, default=lambda a: a.tolist()))
+    path.write_text(json.dumps({"curve": curves_json(under)[0]}, default=lambda a: a.tolist()))
     read = under_kept_curve(under.inner, path)
-    assert isinstance(read, ModelUnderCurve)
+    assert isinstance(read, ModelUnderCurves)
     windows = fit_windows(record, 2.0)
     states = under.initial_states(record, windows)
     theta = start_theta(under, {"viscous_friction.coefficient": 200.0})
@@ -95,6 +96,7 @@ def test_file_without_a_curve_leaves_the_model_as_it_is(tmp_path: Path) -> None:
         ("value", [1.0], "as many"),
         ("depends_on", ["ball_position"], "expected one of position"),
         ("depends_on", [], "depends_on"),
+        ("joint", 2, "expected one of null"),
     ],
 )
 def test_bad_curve_is_named(field: str, value: object, expected: str, tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ Equations 4.19 to 4.64 of the reference text, with a recursion in the place of i
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -21,6 +22,7 @@ from labhil.physics.arm.links import PER_LINK, UR5, inertial_of, load_links
 from labhil.physics.arm.motion import Motion, PreparedRecord, as_it_is, cut_off_of, prepared, temperatures
 from labhil.physics.arm.rigid_body import upright
 from labhil.physics.arm.view import Remembered, View
+from labhil.physics.extra_force import ExtraForce, MovedPart
 from labhil.physics.model import Metric, Record, Windows, index_of
 from labhil.physics.terms import Parameter, Term, Yardstick, keyed
 from labhil.rig import RigFile
@@ -63,6 +65,8 @@ class ArmModel:
     state_names: tuple[str, ...] = ()
     state_scale = np.empty(0)
     forgets = True
+    force_unit = "N·m"
+    _forces: tuple[ExtraForce, ...] = ()
 
     def __init__(self, rig: RigFile, record: Record | None = None) -> None:
         path = rig.known_path("links")
@@ -79,6 +83,10 @@ class ArmModel:
         self.cut_off = rig.metric.cut_off or cut_off_of(record)
         self.horizon = rig.metric.horizon or 1.0
         sizes = Sizes.of(record, self._constant)
+        self.moved = tuple(
+            MovedPart(f"actual_q_{j}", f"actual_qd_{j}", joint=j, force=float(torque), speed=float(speed))
+            for j, (torque, speed) in enumerate(zip(sizes.torque, sizes.speed, strict=True))
+        )
         warm = None if record is None else temperatures(record)
         self._temperature = np.zeros(JOINTS) if warm is None else warm.mean(axis=0)
         size = KEPT * (1 if record is None else len(record.begins))
@@ -162,6 +170,12 @@ class ArmModel:
         own = self.first.grouped
         added = own.shares[:, LAST] @ inertial_of(mass, tuple(centre))
         return {keyed(n, link): float(a) for (n, _, link), a in zip(own.names(), added, strict=True)}
+
+    def with_force(self, force: ExtraForce) -> ArmModel:
+        """The same arm under one more torque on one joint, N·m, beside those that it is under."""
+        other = copy.copy(self)
+        other._forces = (*self._forces, force)
+        return other
 
     def horizon_at(self, theta: FloatArray) -> float:
         """Has no part in inverse dynamics; the gap before held-out data, s."""
@@ -323,6 +337,10 @@ class ArmModel:
         for joint, share in enumerate(self._of_joints(theta, LOAD)):
             if share:
                 torques[:, joint] += share * self._load(theta, view, joint)
+        lengths, delay = self._of_joints(theta, LENGTH), self._delay(theta)
+        for force in self._forces:
+            assert force.joint is not None
+            torques[:, force.joint] -= view.pushed(force, float(lengths[force.joint]), delay)
         return torques
 
     def _law(self, theta: FloatArray, view: View, joint: int, name: str) -> FloatArray:

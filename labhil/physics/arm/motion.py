@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy import signal
@@ -60,8 +61,7 @@ class LowPass:
 
     def __call__(self, columns: FloatArray) -> FloatArray:
         """Filter columns (n, …) along time."""
-        sections = signal.butter(4, 2.0 * self.cut_off * self.period, output="sos")
-        return np.asarray(signal.sosfiltfilt(sections, columns, axis=0))
+        return np.asarray(signal.sosfiltfilt(_sections(2.0 * self.cut_off * self.period), columns, axis=0))
 
     def autocovariance(self, n: int, correlation: float = 0.0) -> FloatArray:
         """What unit noise is like behind the filter, by distance in samples (n,), away from the ends.
@@ -76,6 +76,12 @@ class LowPass:
         apart = np.abs(np.arange(len(doubled)) - 2 * m)
         found = signal.fftconvolve(correlation**apart, doubled, mode="same") if correlation else doubled
         return np.asarray(found[2 * m : 2 * m + n])
+
+
+@lru_cache
+def _sections(share: float) -> FloatArray:
+    """Second-order sections of the low-pass that cuts off at this share of half the sampling rate."""
+    return np.asarray(signal.butter(4, share, output="sos"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

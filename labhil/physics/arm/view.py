@@ -13,9 +13,11 @@ from labhil.physics.arm.joint_laws import LAWS, JointMotion, Law, directions
 from labhil.physics.arm.links import Links
 from labhil.physics.arm.motion import Motion
 from labhil.physics.arm.rigid_body import regressor
+from labhil.physics.extra_force import ExtraForce, Over, along_positive
 from labhil.signals import FloatArray
 
 LAWS_REMEMBERED = 15 * JOINTS
+FORCES_REMEMBERED = 2 * JOINTS
 CHUNK = 4096
 NEIGHBOURS = 6
 
@@ -81,6 +83,7 @@ class View:
         self._regressors: Remembered[FloatArray] = Remembered(4)
         self._bent: Remembered[FloatArray] = Remembered(4)
         self._loads: Remembered[FloatArray] = Remembered(4)
+        self._pushed: Remembered[FloatArray] = Remembered(FORCES_REMEMBERED)
 
     def at_rows(self, columns: FloatArray, delay: float) -> FloatArray:
         """Columns (m, …) of the whole motion at the rows, (n, …)."""
@@ -125,6 +128,23 @@ class View:
 
     def _direction(self, joint: int, length: float) -> FloatArray:
         return directions(self.motion.q[:, joint], self.motion.qd[:, joint], length)
+
+    def pushed(self, force: ExtraForce, length: float, delay: float) -> FloatArray:
+        """Torque (n,) of one more force on its joint; ``length`` rad of bristles where it is dry friction."""
+        grid, values = force.grid.tobytes(), force.values.tobytes()
+        key = (force.joint, force.of, force.acts, grid, values, length, delay)
+        return self._pushed.of(
+            key, lambda: self.at_rows(self.motion.filtered(self._force(force, length)), delay)
+        )
+
+    def _force(self, force: ExtraForce, length: float) -> FloatArray:
+        """Of the whole motion, (m,)."""
+        assert force.joint is not None
+        m, (name, _, number) = self.motion, force.of.rpartition("_")
+        along = (m.q if name == "actual_q" else m.qd)[:, int(number)]
+        places = np.abs(along) if force.acts is Over.SPEED_AGAINST else along
+        curve = np.interp(places, force.grid, force.values)
+        return along_positive(force.acts, curve, m.qd[:, force.joint], self._direction(force.joint, length))
 
     def load(
         self, joint: int, length: float, inertial: FloatArray, gravity: FloatArray, delay: float

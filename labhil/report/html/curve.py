@@ -20,7 +20,8 @@ def curve_picture(album: Album, curve: CurvePart | None) -> Markup | None:
     if not len(value) or not len(x) or x.shape[1] != len(value):
         return None
     if len(x) == 1:
-        caption = "Estimated curve of what no named term explains, with its 99 % band."
+        where = "" if curve.joint is None else f" on joint {curve.joint}"
+        caption = f"Estimated curve of what no named term explains{where}, with its 99 % band."
         return album.picture(caption, lambda: _draw_curve(curve, x[0], value))
     caption = "Estimate of what no named term explains, over the first two coordinates that it depends on."
     return album.picture(caption, lambda: _draw_dots(curve, x, value))

@@ -58,7 +58,10 @@ def diagnosis_page(
             _changed(diagnosis),
             _location(diagnosis.location),
             _improvement(diagnosis.improvement, pictures),
-            section("The estimated curve", curve_picture(album, diagnosis.curve)),
+            section(
+                "The estimated curve",
+                *(curve_picture(album, each) for each in (diagnosis.curve, *diagnosis.further_curves)),
+            ),
             _final(diagnosis, album),
             _rivals(diagnosis.rivals),
             _excluded(diagnosis),

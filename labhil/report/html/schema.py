@@ -304,6 +304,7 @@ class CurvePart(Part):
     value: tuple[Number, ...]
     ci99: tuple[tuple[Number, ...], ...] = ()
     unit: str = ""
+    joint: int | None = None
 
 
 Verdict = Literal[
@@ -342,6 +343,7 @@ class DiagnosisPart(Part):
     improvement: ImprovementPart | None = None
     final: BaselinePart
     curve: CurvePart | None = None
+    further_curves: tuple[CurvePart, ...] = ()
     seconds: Number = None
 
 

@@ -1,0 +1,152 @@
+"""Forces that no named term explains, beside what was found: of a single part, or joint by joint.
+
+Named terms that only stood in for such a force give way to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from labhil.diagnose.evidence import bic, effective_samples, unlikelier
+from labhil.diagnose.found import Found, Step
+from labhil.diagnose.judge import NEEDED_BIC, Data
+from labhil.diagnose.refit import refit, without
+from labhil.diagnose.rest import left_by, stands_in
+from labhil.diagnose.unmodelled import Unmodelled, unmodelled
+from labhil.identify.fitted import Fitted
+from labhil.identify.kept_curve import under
+from labhil.physics.extra_force import MovedPart, Yielding
+from labhil.physics.terms import Enters
+
+SURELY, MISNAMED = 2.5, 1.5
+"""RMSE over the noise floor that no noise makes, and that doubts what was found.
+
+The floor of a few windows is not well known: each has only one error of its initial state.
+"""
+
+DOUBTFUL = 1.05
+"""The same from which on named forces are compared with a curve in their place."""
+
+
+def beyond(data: Data, found: Found) -> tuple[Found, tuple[Unmodelled, ...]]:
+    """Forces that no named term explains, and what was found without the terms that they make needless.
+
+    The joints of an arm have their turns by what is left of them, each beside the curves of those before it.
+    """
+    model, curves = data.model, tuple[Unmodelled, ...]()
+    if not isinstance(model, Yielding):
+        return found, ()
+    waiting = list(model.moved)
+    while waiting:
+        part, excess = _worst(data, found, curves, waiting)
+        if len(waiting) < len(model.moved) and excess < MISNAMED:
+            break
+        found, curve = _of_part(data, found, curves, part)
+        curves = curves if curve is None else (*curves, curve)
+        waiting.remove(part)
+    return found, curves
+
+
+def strongest(curves: Sequence[Unmodelled]) -> list[Unmodelled]:
+    """Those that bring held-out data closest to the noise first."""
+    return sorted(curves, key=lambda curve: -curve.evidence.heldout_loglik_gain)
+
+
+def _worst(
+    data: Data, found: Found, curves: Sequence[Unmodelled], parts: Sequence[MovedPart]
+) -> tuple[MovedPart, float]:
+    """The part whose output leaves most, and how much that is, in units of the noise."""
+    if len(parts) == 1 and parts[0].joint is None:
+        return parts[0], float("inf")
+    left = np.max(left_by(*_beside(data, found.final, curves)), axis=0)
+    of_joint = dict(zip(data.search.output_joints, left.tolist(), strict=True))
+    worst = max(parts, key=lambda part: of_joint[part.joint])
+    return worst, of_joint[worst.joint]
+
+
+def _of_part(
+    data: Data, found: Found, curves: Sequence[Unmodelled], part: MovedPart
+) -> tuple[Found, Unmodelled | None]:
+    """The force on one part, and what was found without the terms there that it makes needless.
+
+    Where a curve is the answer, or none is and most of the excess is still there, named terms only stood in
+    for something else.
+    """
+    beside = _curve(data, found.final, curves, part)
+    doubtful = [step for step in found.missing if data.model.terms[step.terms[0]].joint == part.joint]
+    if not doubtful:
+        return found, beside
+    if beside is None:
+        return (found, None) if part.joint is not None else _instead(data, found, part)
+    simpler = _less(data, found, doubtful)
+    alone = _curve(data, simpler.final, curves, part)
+    if alone is None:
+        return found, beside
+    effective = effective_samples(beside.fit, part.joint)
+    marks = [bic(each.fit, effective, each.degrees, part.joint) for each in (alone, beside)]
+    return (found, beside) if marks[0] > marks[1] else (simpler, alone)
+
+
+def imitated(data: Data, found: Found, excess: float) -> tuple[Found, tuple[Unmodelled, ...]]:
+    """What was found, or a curve where named forces only imitate that.
+
+    It is looked for where the worst output of a single part is off by ``excess`` times its noise floor.
+    """
+    model = data.model
+    forces = [step for step in found.missing if model.terms[step.terms[0]].enters is Enters.FORCE]
+    if excess < DOUBTFUL or not forces or not isinstance(model, Yielding) or len(model.moved) > 1:
+        return found, ()
+    found, curve = _or_curve(data, found, model.moved[0])
+    return found, (() if curve is None else (curve,))
+
+
+def _instead(data: Data, found: Found, part: MovedPart) -> tuple[Found, Unmodelled | None]:
+    """A curve in the place of named terms, or nothing where these only stood in for something else."""
+    found, curve = _or_curve(data, found, part)
+    if curve is None and stands_in(found.baseline, found.final):
+        return _less(data, found, found.missing), None
+    return found, curve
+
+
+def _or_curve(data: Data, found: Found, part: MovedPart) -> tuple[Found, Unmodelled | None]:
+    """What was found, or a curve alone where that has very strong evidence over the named terms."""
+    simpler = _less(data, found, found.missing)
+    alone = _curve(data, simpler.final, (), part)
+    if alone is None:
+        return found, None
+    effective = effective_samples(alone.fit)
+    seen = bic(alone.fit, effective, alone.degrees) - bic(found.final, effective)
+    held = unlikelier(data.left(data.model, found.final.theta), data.left(alone.model, alone.fit.theta))
+    return (simpler, alone) if seen + held < NEEDED_BIC else (found, None)
+
+
+def _less(data: Data, found: Found, steps: Sequence[Step]) -> Found:
+    """What was found without some of its steps."""
+    kept = tuple(step for step in found.missing if step not in steps)
+    terms = found.final.terms
+    for step in steps:
+        terms = without(data.model, terms, step.terms[0])
+    final = refit(data, found.final, terms, ()) if kept else found.baseline
+    there = {step.terms[0] for step in kept}
+    rivals = tuple(rival for rival in found.rivals if rival.instead_of in there)
+    return replace(found, final=final, missing=kept, rivals=rivals)
+
+
+def _curve(data: Data, final: Fitted, curves: Sequence[Unmodelled], part: MovedPart) -> Unmodelled | None:
+    """A force beside a fit, judged on windows as long as those of that fit."""
+    data, final = _beside(data, final, curves)
+    rows = final.problem.windows
+    length = float(data.search.t[rows.last[0] - 1] - data.search.t[rows.first[0]])
+    return unmodelled(replace(data, window=length), final, part)
+
+
+def _beside(data: Data, final: Fitted, curves: Sequence[Unmodelled]) -> tuple[Data, Fitted]:
+    """Data whose model is under these curves, and a fit of it with the same terms."""
+    if not curves:
+        return data, final
+    assert isinstance(data.model, Yielding)
+    data = replace(data, model=under(data.model, [curve.kept for curve in curves], data.search))
+    return data, refit(data, final, final.terms, ())
