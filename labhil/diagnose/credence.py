@@ -3,10 +3,10 @@
 Evidence alone does not tell: another term may stand in for the right one, and does so the more easily the
 more terms there are and the more is left unexplained. So the probability that a claim (the term or one of
 its listed rivals) is right is a logistic function of three things that a diagnosis knows of itself. Its
-weights were fitted, with a ridge of 0.1, to 158 claims about 110 development trials with effects of axis, ball
-and beam and DC motor (``labhil trial benchmark``, seed 31), of which 92 % were right. What is stated is scored
-on other trials. Of an arm, where each joint makes claims of its own and real ones never reach the floor,
-evidence alone counts.
+weights were fitted, with a ridge of 0.1, to 158 claims about 110 development trials with effects of axis,
+ball and beam and DC motor (``labhil trial benchmark``, seed 31), of which 92 % were right. What is stated is
+scored on other trials. Of an arm, where each joint makes claims of its own and real ones never reach the
+floor, evidence alone counts.
 """
 
 from __future__ import annotations
