@@ -159,6 +159,14 @@ def test_what_has_no_name_has_to_be_found_in_its_joint():
     assert not there.exact
 
 
+def test_what_pulls_at_several_joints_may_have_a_curve_on_each_of_them():
+    truth = answer(true_effect("hidden_cable", None, catalogue=False))
+    several = said(("unmodelled_force", 3), ("unmodelled_force", 5))
+    with_a_name = said(("unmodelled_force", 3), ("friction_asymmetry", 5))
+    assert judge(truth, several, lambda e, r: 0.0).exact
+    assert not judge(truth, with_a_name, lambda e, r: 0.0).exact
+
+
 def test_a_confusion_of_joints_is_printed_pair_by_pair():
     pairs = [(f"stribeck_friction[{j}]", f"{term}[{j}]") for j in range(6) for term in ("a", "b", "c")]
     card = count([judge(answer(), said(("a", 0)), lambda e, r: 0.0)], "ur5", True)

@@ -115,14 +115,22 @@ def claims_of(said: Said) -> tuple[Named, ...]:
 
 
 def fits(effect: TrueEffect, name: str) -> bool:
-    """Whether a name, with its joint, is right for an effect; one outside the catalogue has no own name."""
+    """Whether a name, with its joint, is right for an effect; one outside the catalogue has no own name.
+
+    What pulls at several joints shows in any of them.
+    """
     if not effect.catalogue:
-        return name.startswith(UNMODELLED) and unkeyed(name)[1] in (None, effect.joint)
+        return name.startswith(UNMODELLED) and (
+            effect.joint is None or unkeyed(name)[1] in (None, effect.joint)
+        )
     return name == keyed(effect.term, effect.joint)
 
 
 def match(effects: Sequence[TrueEffect], claims: Sequence[Named]) -> Matched:
-    """Give every effect the claim whose first choice it is, then one that has it among the rivals."""
+    """Give every effect the claim whose first choice it is, then one that has it among the rivals.
+
+    What is outside the catalogue and acts on several joints may have a curve on each of them.
+    """
     left = list(claims)
     pairs: list[tuple[TrueEffect, Named]] = []
     for first_only in (True, False):
@@ -134,7 +142,9 @@ def match(effects: Sequence[TrueEffect], claims: Sequence[Named]) -> Matched:
             if claim is not None:
                 pairs.append((effect, claim))
                 left.remove(claim)
-    return Matched(tuple(pairs), tuple(left))
+    shared = [effect for effect, _ in pairs if not effect.catalogue and effect.joint is None]
+    over = [claim for claim in left if not any(fits(effect, claim.term) for effect in shared)]
+    return Matched(tuple(pairs), tuple(over))
 
 
 def is_honest(effect: TrueEffect, named: Named, loss: Loss) -> bool:
