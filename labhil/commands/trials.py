@@ -33,6 +33,7 @@ def add_trials(app: typer.Typer) -> None:
     trial.command("benchmark", epilog="Example: labhil trial benchmark axis --trials 300 -o axis-trials")(
         trial_benchmark
     )
+    trial.command("compare", epilog="Example: labhil trial compare axis.json dc_motor.json")(trial_compare)
     app.add_typer(trial, name="trial")
 
 
@@ -128,6 +129,15 @@ def trial_benchmark(
     with status() as say:
         card = run_trial_benchmark(Plan(rig, trials, out, seed, method, jobs or _cores()), say)
     _tell(card, json_path, plot_path)
+
+
+def trial_compare(
+    cards: Annotated[list[Path], typer.Argument(metavar="FILE...", help="JSON of score or benchmark.")],
+) -> None:
+    """Print score cards side by side, as a Markdown table."""
+    from labhil.campaign.trials.compare import compared
+
+    print(compared(cards))
 
 
 def _tell(card: Card, json_path: Path | None, plot_path: Path | None) -> None:

@@ -402,8 +402,24 @@ def test_a_score_is_drawn(tmp_path):
         plot(count(judged, "ball_beam", False), tmp_path / "score.nothing")
 
 
+def test_score_cards_stand_side_by_side(tmp_path):
+    truth = answer(effect("dead_zone", strength=4.0))
+    names = {"right": "dead_zone", "wrong": "backlash"}
+    for name, term in names.items():
+        card = count([judge(truth, said(term), lossless)], "ball_beam", False)
+        (tmp_path / f"{name}.json").write_text(json.dumps(card.to_json()))
+    done = CliRunner().invoke(app, ["trial", "compare", *(str(tmp_path / f"{name}.json") for name in names)])
+    table = [line.split(" | ") for line in done.output.splitlines()]
+    assert table[0] == ["|", "`right`", "`wrong` |"]
+    exact = next(row for row in table if row[0] == "| one effect, exact, strength 3 or more")
+    assert (exact[1].split(";")[0], exact[2].split(";")[0]) == ("100 % (1 of 1", "0 % (0 of 1")
+    (tmp_path / "right.json").write_text("{}")
+    refused = CliRunner().invoke(app, ["trial", "compare", str(tmp_path / "right.json")])
+    assert isinstance(refused.exception, UsageError)
+
+
 def test_the_commands_explain_themselves(tmp_path):
-    for name in ("make", "run", "score"):
+    for name in ("make", "run", "score", "benchmark", "compare"):
         shown = CliRunner().invoke(app, ["trial", name, "--help"])
         assert shown.exit_code == 0
         assert "Example: labhil trial" in shown.output
