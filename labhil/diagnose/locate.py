@@ -9,7 +9,7 @@ import numpy as np
 
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score
-from labhil.physics.model import Metric, Model, Record
+from labhil.physics.model import Metric, Model, Record, Windows
 from labhil.physics.terms import Term
 from labhil.signals import FloatArray
 
@@ -57,12 +57,37 @@ class Location:
     recordings: tuple[int, ...] = ()
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldOut:
+    """Data that a search never saw, with scores on the same windows before and after."""
+
+    record: Record
+    before: Score
+    after: Score
+
+    @property
+    def motion(self) -> Motion:
+        """The scored samples as the better model has them."""
+        return self.record, self.after.windows.whole, self.after.states, self.after.windows.scored
+
+    def explained(self, joint: int | None) -> FloatArray:
+        """What the better model takes from the squared errors of each scored sample, in noise floors, (N,).
+
+        Of the outputs of a ``joint`` and of those that belong to none.
+        """
+        own = [j for j, c in enumerate(self.after.channels) if joint is None or c.joint in (None, joint)]
+        return np.asarray(_excess(self.before, self.after)[:, own].sum(axis=1))
+
+
+Motion = tuple[Record, Windows, FloatArray, np.ndarray]
+"""A record, windows with their states, and which of their rows count."""
+
+
 @dataclass(frozen=True, slots=True)
 class Contribution:
-    """What one term adds along the motion of a fitted model, (N,), and the ``coordinates`` there, (N,) each.
+    """What one term adds along a motion, (N,), and the ``coordinates`` there, (N,) each.
 
-    ``unit`` is that of the place where it acts. ``joint`` is the one that it acts on most, where there are
-    several.
+    ``joint`` is the one that it acts on most, where there are several.
     """
 
     values: FloatArray
@@ -70,20 +95,43 @@ class Contribution:
     units: Mapping[str, str]
     joint: int | None
 
-    def regimes(self) -> tuple[Regime, ...]:
-        """Where most of it lives, as one to three stretches of one coordinate; none if it is everywhere."""
-        found = regimes({name: self.coordinates[name] for name in self.units}, self.values**2)
-        return tuple(replace(regime, unit=self.units[regime.coordinate]) for regime in found)
+    def regimes(self, explained: FloatArray | None = None) -> tuple[Regime, ...]:
+        """Where most of it lives, as one to three stretches of one coordinate; none if it is everywhere.
+
+        That is where it is so large that 80 % of what was ``explained`` (N,) is there (default: its squares).
+        """
+        squares = self.values**2
+        held = squares if explained is None or explained.sum() <= 0.0 else explained
+        large = _level_set(squares, held).astype(np.float64)
+        found = regimes({name: self.coordinates[name] for name in self.units}, large)
+        return tuple(self._told(regime, held) for regime in found)
+
+    def _told(self, regime: Regime, held: FloatArray) -> Regime:
+        """A regime with its unit and its share of what is held."""
+        values = self.coordinates[regime.coordinate]
+        inside = (values >= regime.low) & (values <= regime.high)
+        share = float(np.clip(held[inside].sum() / held.sum(), 0.0, 1.0)) if held.sum() > 0.0 else 0.0
+        return replace(regime, share_of_excess=share, unit=self.units[regime.coordinate])
 
 
-def contribution(final: Fitted, term: str) -> Contribution:
-    """What a term of the model contributes where it acts, with the motion as it is.
+def _level_set(size: FloatArray, held: FloatArray) -> np.ndarray:
+    """Where a size (N,) is so large that the share of what is ``held`` (N,) is there, (N,) of bool."""
+    order = np.argsort(-size, kind="stable")
+    enough = np.cumsum(held[order]) >= SHARE * held.sum()
+    return np.asarray((size >= size[order[int(np.argmax(enough))]]) & (size > 0.0))
+
+
+def contribution(final: Fitted, term: str, motion: Motion | None = None) -> Contribution:
+    """What a term of the model contributes where it acts, with the ``motion`` as it is (default: the fit's).
 
     A force as a difference of forces; what acts on the way in as the force that it changes, or else as what
     drives the motion; what acts on the way out as a difference of readings.
     """
     model, problem = final.problem.model, final.problem
-    record, windows, states = problem.record, problem.windows, final.solution.point.states
+    if motion is None:
+        every = np.ones(len(problem.windows.rows), dtype=bool)
+        motion = problem.record, problem.windows, final.solution.point.states, every
+    record, windows, states, counted = motion
     less = without_sizes(model, final.theta, term)
     along = model.coordinates(final.theta, record, windows, states)
     driven = model.driven(less, record, windows, along)
@@ -93,7 +141,9 @@ def contribution(final: Fitted, term: str) -> Contribution:
     if not np.any(values):
         values = model.simulate(final.theta, record, windows, states)
         values = values - model.simulate(less, record, windows, states)
-    return _of_one_joint(model, values.reshape(len(windows.rows), -1), along, model.terms[term].joint)
+    values = values.reshape(len(windows.rows), -1)[counted]
+    along = {name: column[counted] for name, column in along.items()}
+    return _of_one_joint(model, values, along, model.terms[term].joint)
 
 
 def without_sizes(model: Model, theta: FloatArray, term: str) -> FloatArray:
@@ -190,7 +240,7 @@ def times(
 
     Begin and end (s) of each, and, where there are several, the numbers of the recordings in whose time.
     """
-    excess = _excess(before, after)
+    excess = _excess(before, after).sum(axis=1)
     pieces = [np.flatnonzero(before.window == w) for w in np.unique(before.window)]
     if len(pieces) == 1 or after.metric is Metric.INVERSE_DYNAMICS:
         blocks = max(BLOCKS // len(pieces), 1)
@@ -210,14 +260,14 @@ def times(
 
 
 def _excess(before: Score, after: Score) -> FloatArray:
-    """What a better model takes from the squared errors of each scored sample, in noise floors, (N,)."""
+    """What a better model takes from the squared errors of each scored sample, in noise floors, (N, c)."""
     floors = np.array([channel.noise_floor for channel in after.channels])
-    return np.asarray(np.sum((before.errors / floors) ** 2 - (after.errors / floors) ** 2, axis=1))
+    return np.asarray((before.errors / floors) ** 2 - (after.errors / floors) ** 2)
 
 
 def whose(before: Score, after: Score) -> str:
     """A sentence: which of several recordings the excess squared error is in; nothing of one."""
-    excess = _excess(before, after)
+    excess = _excess(before, after).sum(axis=1)
     sums = np.array([max(float(excess[own.places].sum()), 0.0) for own in after.recordings])
     if not np.any(sums):
         return ""

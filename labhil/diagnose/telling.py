@@ -129,8 +129,12 @@ def location(
 def _named_location(found: Found, before: Score, after: Score, held_out: Record) -> locate.Location:
     model = found.final.problem.model
     strongest = model.terms[found.missing[0].terms[0]]
-    shares = {step.terms[0]: locate.contribution(found.final, step.terms[0]) for step in found.missing}
-    regimes = {term: share.regimes() for term, share in shares.items()}
+    seen = locate.HeldOut(held_out, before, after)
+    terms = [step.terms[0] for step in found.missing]
+    shares = {term: locate.contribution(found.final, term, seen.motion) for term in terms}
+    # where several explain the excess, none of it can be told to be of one of them
+    explained = seen.explained(next(iter(shares.values())).joint) if len(shares) == 1 else None
+    regimes = {term: share.regimes(explained) for term, share in shares.items()}
     channel, joint = _channel(before, after)
     times, recordings = locate.times(before, after, held_out)
     return locate.Location(
@@ -147,9 +151,9 @@ def _named_location(found: Found, before: Score, after: Score, held_out: Record)
 def _beyond_location(
     found: Found, before: Score, after: Score, held_out: Record, beyond: Unmodelled
 ) -> locate.Location:
-    problem, name = found.final.problem, beyond.depends_on[0]
-    states = found.final.solution.point.states
-    along = problem.model.coordinates(found.final.theta, problem.record, problem.windows, states)[name]
+    name, model = beyond.depends_on[0], found.final.problem.model
+    record, windows, states, counted = locate.HeldOut(held_out, before, after).motion
+    along = model.coordinates(found.final.theta, record, windows, states)[name][counted]
     regimes = locate.regimes({name: along}, np.interp(along, beyond.x, beyond.value) ** 2)
     channel, joint = _channel(before, after)
     times, recordings = locate.times(before, after, held_out)
