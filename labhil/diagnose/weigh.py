@@ -18,8 +18,9 @@ from labhil.identify.intervals import quantile
 from labhil.physics.model import index_of
 from labhil.signals import FloatArray
 
-RELEVANT, RELEVANT_BESIDE = 0.05, 0.5
-"""A term has to explain this share of the baseline's squared residuals beyond noise, or this of what is left.
+RELEVANT, RELEVANT_BESIDE, RELEVANT_ALONE = 0.05, 0.5, 0.5
+"""A term has to explain this share of the baseline's squared residuals beyond noise, or this of what is left,
+or this of the baseline's in one output: others may be off by far more.
 
 On precise recordings of real mechanisms there is always a further term that chance does not explain.
 """
@@ -101,13 +102,12 @@ def _hopeful(
 
 
 def relevant(baseline: Fitted, before: Fitted, after: Fitted) -> bool:
-    """Whether a step explains enough of what the baseline leaves unexplained of any output."""
-    squares = [_squares(fitted) for fitted in (baseline, before, after)]
-    at_first, left = (
-        own - fitted.dof / len(own) for own, fitted in zip(squares, (baseline, before), strict=False)
-    )
-    needed = np.maximum(np.minimum(RELEVANT * at_first, RELEVANT_BESIDE * left), LEAST)
-    return bool(np.any(squares[1] - squares[2] > needed))
+    """Whether a step explains enough of what the baseline leaves unexplained, of all outputs or of one."""
+    at_first, left, now = (_squares(fitted) for fitted in (baseline, before, after))
+    excess = np.sum(at_first) - baseline.dof
+    needed = max(min(RELEVANT * excess, RELEVANT_BESIDE * (np.sum(left) - before.dof)), LEAST)
+    of_one = np.maximum(RELEVANT_ALONE * (at_first - baseline.dof / len(at_first)), LEAST)
+    return bool(np.sum(left - now) > needed or np.any(left - now > of_one))
 
 
 def _squares(fitted: Fitted) -> FloatArray:
