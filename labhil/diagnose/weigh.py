@@ -18,7 +18,7 @@ from labhil.identify.intervals import quantile
 from labhil.physics.model import index_of
 from labhil.signals import FloatArray
 
-RELEVANT, RELEVANT_BESIDE, RELEVANT_ALONE = 0.05, 0.5, 0.5
+RELEVANT, RELEVANT_BESIDE, RELEVANT_ALONE = 0.05, 0.5, 0.8
 """A term has to explain this share of the baseline's squared residuals beyond noise, or this of what is left,
 or this of the baseline's in one output: others may be off by far more.
 
