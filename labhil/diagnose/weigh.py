@@ -16,11 +16,9 @@ from labhil.diagnose.screen import Progress, Screen, candidates
 from labhil.identify.fitted import Fitted, covariances
 from labhil.identify.intervals import quantile
 from labhil.physics.model import index_of
-from labhil.signals import FloatArray
 
-RELEVANT, RELEVANT_BESIDE, RELEVANT_ALONE = 0.05, 0.5, 0.8
-"""A term has to explain this share of the baseline's squared residuals beyond noise, or this of what is left,
-or this of the baseline's in one output: others may be off by far more.
+RELEVANT, RELEVANT_BESIDE = 0.05, 0.5
+"""A term has to explain this share of the baseline's squared residuals beyond noise, or this of what is left.
 
 On precise recordings of real mechanisms there is always a further term that chance does not explain.
 """
@@ -102,17 +100,10 @@ def _hopeful(
 
 
 def relevant(baseline: Fitted, before: Fitted, after: Fitted) -> bool:
-    """Whether a step explains enough of what the baseline leaves unexplained, of all outputs or of one."""
-    at_first, left, now = (_squares(fitted) for fitted in (baseline, before, after))
-    excess = np.sum(at_first) - baseline.dof
-    needed = max(min(RELEVANT * excess, RELEVANT_BESIDE * (np.sum(left) - before.dof)), LEAST)
-    of_one = np.maximum(RELEVANT_ALONE * (at_first - baseline.dof / len(at_first)), LEAST)
-    return bool(np.sum(left - now) > needed or np.any(left - now > of_one))
-
-
-def _squares(fitted: Fitted) -> FloatArray:
-    """Squared residuals (c,) of each output, in those of its noise."""
-    return np.asarray(np.sum(fitted.solution.residuals.reshape(-1, len(fitted.problem.sigma)) ** 2, axis=0))
+    """Whether a step explains enough of what the baseline leaves unexplained."""
+    at_first, left = (fitted.solution.cost - fitted.dof for fitted in (baseline, before))
+    needed = max(min(RELEVANT * at_first, RELEVANT_BESIDE * left), LEAST)
+    return before.solution.cost - after.solution.cost > needed
 
 
 def _significant(fitted: Fitted, term: str) -> bool:
