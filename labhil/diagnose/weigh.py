@@ -52,7 +52,8 @@ def swapped(
         narrowed = _narrowed(data, current, term)
         if not groups and not narrowed:
             continue
-        progress(f"weighing {', '.join(group[-1] for group in groups)} instead of {term}")
+        names = [*(trial.terms[-1] for trial in narrowed), *(group[-1] for group in groups)]
+        progress(f"weighing {', '.join(names)} instead of {term}")
         left = data.left(data.model, current.theta)
         others = confirm(data, reduced, groups, executor, HOPELESS * current.solution.cost, current)
         for trial in [*narrowed, *others[:FINALISTS]]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from labhil.errors import RecordingError
 from labhil.identify.problem import Point, Problem
-from labhil.identify.window_states import fit_states, rescue_states
+from labhil.identify.window_states import held_at
 from labhil.identify.windows import ScoredWindows, all_of, noise_at, scored_windows
 from labhil.physics.drive_balance import Balanced
 from labhil.physics.model import Metric, Model, Record
@@ -143,9 +143,7 @@ def score(
     else:
         windows = scored_windows(record, horizon or scored_horizon(model, theta, record))
     nothing = np.empty(0, dtype=np.int64)
-    lead = Problem(model, record, windows.lead, nothing, theta, sigma)
-    none = np.empty(0)
-    states = rescue_states(lead, none, fit_states(lead, none, model.initial_states(record, windows.lead)))
+    states = held_at(model, theta, record, windows.lead, sigma).states
     whole = Problem(model, record, windows.whole, nothing, theta, sigma)
     residuals = whole.residuals(Point(np.empty(0), states))
     c = record.outputs.shape[1]
