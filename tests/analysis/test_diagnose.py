@@ -116,7 +116,8 @@ def test_the_stribeck_peak_lives_at_low_speed(dry):
     assert (location.channel, location.enters) == ("ball_position", "force")
     (regime,) = [r for r in location.regimes if r.coordinate == "ball_velocity"]
     assert -0.1 < regime.low < 0.0 < regime.high < 0.1
-    assert 0.75 < regime.share_of_excess <= 1.0
+    # of the excess in data that the search never saw; the rest is where windows carry the peak's trace on
+    assert 0.6 < regime.share_of_excess <= 1.0
     assert "ball_velocity" in location.statement
     assert location.times
     assert all(0.0 <= begin < end <= 20.0 for begin, end in location.times)
