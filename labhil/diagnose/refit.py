@@ -7,6 +7,7 @@ from concurrent.futures import Executor
 
 from labhil.diagnose.evidence import bic, effective_samples
 from labhil.diagnose.judge import NEEDED_BIC, Data
+from labhil.diagnose.waves import starts_beside
 from labhil.identify.fitted import Fitted, fit_terms
 from labhil.physics.model import Model
 
@@ -89,7 +90,7 @@ def refit(
         data.sigma,
         start=start,
         states=current.solution.point.states,
-        new_terms=fresh,
+        starts=starts_beside(current, fresh) if fresh else [{}],
         iterations=25,
         tolerance=tolerance,
         thorough=thorough,

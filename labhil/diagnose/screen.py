@@ -11,9 +11,10 @@ import numpy as np
 
 from labhil.diagnose.evidence import effective_samples
 from labhil.diagnose.judge import NEEDED_BIC, Data
+from labhil.diagnose.projection import Unexplained, orthonormal
+from labhil.diagnose.waves import starts_beside
 from labhil.identify.fitted import Fitted
-from labhil.identify.problem import Linearised, Point, Problem
-from labhil.physics.model import Model, index_of, starts_of, terms_named
+from labhil.physics.model import Model, index_of, terms_named
 from labhil.signals import FloatArray
 
 Progress = Callable[[str], None]
@@ -74,28 +75,20 @@ class Screen:
     """
 
     data: Data
-    current: Fitted
-    lin: Linearised
-    basis: FloatArray
-    target: FloatArray
+    unexplained: Unexplained
 
     @classmethod
     def of(cls, data: Data, current: Fitted) -> Screen:
         """Prepare the projection that all candidates share."""
-        problem = current.problem
-        residuals = current.solution.residuals
-        lin = problem.linearise(current.solution.point, residuals)
-        own = problem.project(lin, np.column_stack([lin.by_parameters, residuals]))
-        basis, target = _orthonormal(own[:, :-1]), own[:, -1]
-        return cls(data, current, lin, basis, target - basis @ (basis.T @ target))
+        return cls(data, Unexplained.of(current))
 
     def columns_of(self, group: Sequence[str]) -> FloatArray:
         """The group's projected columns (N, k), at those of its starts that explain most."""
-        best, most = np.empty((len(self.target), 0)), -1.0
-        for columns in _columns(self.data, self.current, group):
-            new = self.current.problem.project(self.lin, columns)
-            new = _orthonormal(new - self.basis @ (self.basis.T @ new))
-            explained = float(np.sum((new.T @ self.target) ** 2))
+        target = self.unexplained.target
+        best, most = np.empty((len(target), 0)), -1.0
+        for columns in _columns(self.data, self.unexplained, group):
+            new = orthonormal(self.unexplained.beside(columns))
+            explained = float(np.sum((new.T @ target) ** 2))
             if explained > most:
                 best, most = new, explained
         return best
@@ -105,28 +98,28 @@ class Screen:
         share = self.promise(columns, group)
         added = sum(len(self.data.model.terms[name].parameters) for name in group)
         explained = min(max(share + COST * added, 0.0), 1.0 - 1e-9)
-        effective = effective_samples(self.current)
+        effective = effective_samples(self.unexplained.fitted)
         gain = effective * np.log(1.0 - explained) + added * np.log(effective)
         return Candidate(group, share, bool(gain < ALLOWANCE * NEEDED_BIC))
 
     def promise(self, columns: Sequence[FloatArray], group: Sequence[str]) -> float:
         """Share of the squared residuals that these columns explain; more parameters must promise more."""
-        new = columns[0] if len(columns) == 1 else _orthonormal(np.column_stack(columns))
-        total = float(self.target @ self.target)
-        share = float(np.sum((new.T @ self.target) ** 2)) / total if total > 0 else 0.0
+        target = self.unexplained.target
+        new = columns[0] if len(columns) == 1 else orthonormal(np.column_stack(columns))
+        total = float(target @ target)
+        share = float(np.sum((new.T @ target) ** 2)) / total if total > 0 else 0.0
         return share - COST * sum(len(self.data.model.terms[name].parameters) for name in group)
 
 
-def _columns(data: Data, current: Fitted, group: Sequence[str]) -> list[FloatArray]:
+def _columns(data: Data, unexplained: Unexplained, group: Sequence[str]) -> list[FloatArray]:
     """For each set of starts, what each parameter of the group changes in the residuals, (N, k)."""
-    model, problem = data.model, current.problem
+    model, current = data.model, unexplained.fitted
     terms = terms_named(model, group)
     places = index_of(model.parameters)
-    before = current.solution.residuals
+    shapes = {p.key for term in terms for p in term.parameters if p.shape}
     sets = []
-    for values in starts_of(model, terms, data.search):
+    for values in starts_beside(current, group):
         columns = []
-        shapes = {p.key for term in terms for p in term.parameters if p.shape}
         for term in terms:
             for parameter in term.parameters:
                 if parameter.shape:
@@ -135,23 +128,6 @@ def _columns(data: Data, current: Fitted, group: Sequence[str]) -> list[FloatArr
                 for name in shapes:
                     theta[places[name]] = values[name]
                 theta[places[parameter.key]] = values[parameter.key] or 1e-2 * parameter.scale
-                columns.append(residuals_at(problem, theta, current.solution.point.states) - before)
+                columns.append(unexplained.changed(theta))
         sets.append(np.column_stack(columns))
     return sets
-
-
-def residuals_at(problem: Problem, theta: FloatArray, states: FloatArray) -> FloatArray:
-    """Residuals (N·c,) of a problem's windows at another vector ``theta``, all of it held."""
-    nothing = np.empty(0, dtype=np.int64)
-    moved = Problem(problem.model, problem.record, problem.windows, nothing, theta, problem.sigma)
-    return moved.residuals(Point(np.empty(0), states))
-
-
-def _orthonormal(columns: FloatArray) -> FloatArray:
-    """An orthonormal basis of the span of columns (N, k), those of no length left out."""
-    length = np.linalg.norm(columns, axis=0)
-    columns = columns[:, length > 1e-9 * max(float(length.max(initial=0.0)), 1e-300)]
-    if not columns.shape[1]:
-        return columns
-    left, singular, _ = np.linalg.svd(columns / np.linalg.norm(columns, axis=0), full_matrices=False)
-    return np.asarray(left[:, singular > 1e-8])

@@ -14,7 +14,6 @@ from labhil.diagnose.beyond import MISNAMED
 from labhil.diagnose.credence import credence, share
 from labhil.diagnose.found import Found, Rival, Step
 from labhil.diagnose.judge import Data
-from labhil.diagnose.screen import residuals_at
 from labhil.diagnose.unmodelled import Unmodelled
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score
@@ -222,5 +221,5 @@ def _slope(final: Fitted, parameter: Parameter) -> FloatArray:
     step = 1e-2
     theta = final.theta.copy()
     theta[index_of(final.problem.model.parameters)[parameter.key]] += step * parameter.scale
-    residuals = residuals_at(final.problem, theta, final.solution.point.states)
+    residuals = final.problem.residuals_at(theta, final.solution.point.states)
     return np.asarray((residuals - final.solution.residuals) / step)

@@ -80,6 +80,7 @@ def fit_terms(
     start: FloatArray | None = None,
     states: FloatArray | None = None,
     new_terms: Sequence[str] | None = None,
+    starts: Sequence[Mapping[str, float]] | None = None,
     iterations: int = 60,
     tolerance: float = 1e-6,
     thorough: bool = True,
@@ -91,18 +92,23 @@ def fit_terms(
 
     ``start`` is a vector to begin at (default: everything neutral), ``states`` initial states of the
     same windows under a model close by; the ``new_terms`` (default: all) begin at each of their own
-    starts. Scouts go a few steps from each, the best goes on to the end; ``thorough`` gives outlying
-    windows a second chance there. When no scout comes below the cost ``hopeless``, the best scout is
-    the answer. Without ``shapes`` widths such as the Stribeck velocity stay where they begin, and
-    parameters with a key in ``held`` always do.
+    starts, or the vector at each of these ``starts`` by key. Scouts go a few steps from each, the best
+    goes on to the end; ``thorough`` gives outlying windows a second chance there. When no scout comes below
+    the cost ``hopeless``, the best scout is the answer. Without ``shapes`` widths such as the Stribeck
+    velocity stay where they begin, and parameters with a key in ``held`` always do.
     """
     begin = start_theta(model) if start is None else start
     windows = fit_windows(record, window)
     every = free_of(model, terms, held)
     free = every if shapes else every[[not model.parameters[i].shape for i in every]]
     best: tuple[Problem, Solution] | None = None
-    starts = starts_with(model, record, begin, terms if new_terms is None else new_terms)
-    for theta in starts:
+    if starts is None:
+        fresh = terms_named(model, terms if new_terms is None else new_terms)
+        starts = starts_of(model, fresh, record) if fresh else [{}]
+    places = index_of(model.parameters)
+    for values in starts:
+        theta = begin.copy()
+        theta[[places[key] for key in values]] = list(values.values())
         problem = Problem(model, record, windows, free, theta, sigma)
         limit = SCOUT_ITERATIONS if len(starts) > 1 or hopeless < float("inf") else iterations
         begin_at = problem.start() if states is None else Point(problem.start().z, states)
@@ -130,18 +136,6 @@ def fit_terms(
         solution = replace(solution, point=Point(whole.start().z, solution.point.states))
         problem = whole
     return Fitted(tuple(terms), theta, problem, solution)
-
-
-def starts_with(model: Model, record: Record, begin: FloatArray, terms: Sequence[str]) -> list[FloatArray]:
-    """``begin`` with each set of starts of these terms put in."""
-    places = index_of(model.parameters)
-    vectors = []
-    for values in starts_of(model, terms_named(model, terms), record) if terms else [{}]:
-        theta = begin.copy()
-        for name, value in values.items():
-            theta[places[name]] = value
-        vectors.append(theta)
-    return vectors
 
 
 def covariances(fitted: Fitted) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -108,8 +108,12 @@ class Problem:
 
     def residuals(self, point: Point) -> FloatArray:
         """(simulated − measured) / noise, (N·c,)."""
+        return self.residuals_at(self.theta(point.z), point.states)
+
+    def residuals_at(self, theta: FloatArray, states: FloatArray) -> FloatArray:
+        """The same at a whole vector ``theta`` and the windows' ``states``, (N·c,)."""
         self.evaluations += 1
-        simulated = self.model.simulate(self.theta(point.z), self.record, self.windows, point.states)
+        simulated = self.model.simulate(theta, self.record, self.windows, states)
         # a plant that runs away is wrong by enough; its square must still be a number
         with np.errstate(over="ignore"):
             residuals = ((simulated - self._measured) / self.noise).ravel()

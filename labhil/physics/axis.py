@@ -124,7 +124,7 @@ def catalogue(s: Sizes) -> dict[str, Term]:
                 Parameter("cogging_torque.cosine", "N", level, starts=(0.3 * level,)),
                 Parameter(
                     "cogging_torque.order", "rad/m", 20.0 / s.span, 2.0 / s.span, 2e3 / s.span,
-                    starts=(20.0 / s.span, 60.0 / s.span, 200.0 / s.span), shape=True,
+                    starts=(20.0 / s.span, 60.0 / s.span, 200.0 / s.span), shape=True, waves_over="position",
                 ),
             ),
         ),

@@ -192,7 +192,16 @@ def catalogue(s: Sizes, outputs: Sequence[str], inertia_known: bool) -> dict[str
             (
                 Parameter("cogging_torque.sine", "N·m", level, starts=(0.05 * s.torque,)),
                 Parameter("cogging_torque.cosine", "N·m", level, starts=(0.05 * s.torque,)),
-                Parameter("cogging_torque.order", "1", 12.0, 1.0, 400.0, starts=(12.0,), shape=True),
+                Parameter(
+                    "cogging_torque.order",
+                    "1",
+                    12.0,
+                    1.0,
+                    400.0,
+                    starts=(12.0,),
+                    shape=True,
+                    waves_over="shaft_angle",
+                ),
             ),
             needs=("angle",),
         ),

@@ -45,7 +45,8 @@ class Parameter:
     parameter that has no meaning while its term's level is zero (Stribeck velocity): while the term
     is absent it stays at ``scale``. ``linear`` says that the simulated outputs are affine in it, so
     that an estimator may project it out, ``in_steps`` that they change with it in steps, so that only
-    wide differences tell slopes and a profile its interval. ``joint`` (from 0) tells apart the same law of
+    wide differences tell slopes and a profile its interval. ``waves_over`` names the coordinate along which
+    the term repeats so often per unit (an order). ``joint`` (from 0) tells apart the same law of
     several joints, ``recording`` (from 1) what has a value of its own in each of several recordings.
     """
 
@@ -61,6 +62,7 @@ class Parameter:
     shape: bool = False
     linear: bool = False
     in_steps: bool = False
+    waves_over: str = ""
     joint: int | None = None
     recording: int | None = None
 

@@ -1,0 +1,145 @@
+"""At which orders (waves along a coordinate) the fit of a force that repeats along the way may begin.
+
+The cost has a valley at every other multiple of one over the distance travelled, so no ladder of starts finds
+the right one: every order is asked what its two waves would explain, by projection, before any is refitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from labhil.diagnose.projection import Unexplained
+from labhil.identify.fitted import Fitted
+from labhil.identify.problem import Problem
+from labhil.physics.model import index_of, starts_of, terms_named
+from labhil.physics.terms import Parameter, Term
+from labhil.signals import FloatArray
+
+TURN = 2.0
+"""Radians by which the phase at the far end of the way changes from one order that is tried to the next."""
+
+SLOW = 0.5
+"""Share of the samples that have to show an order: its phase turns by less than half a wave in between."""
+
+MOST = 150
+"""Orders that are tried at most, the lowest ones."""
+
+FEW = 5.0
+"""Times that the way is longer than what windows see of it, from which they have phases of their own."""
+
+PROPOSED = 3
+"""Orders at which fits begin."""
+
+SMALL = 0.1
+"""Size of the waves that are tried, in their scales."""
+
+Starts = list[dict[str, float]]
+
+_known: WeakKeyDictionary[Problem, dict[str, Starts]] = WeakKeyDictionary()
+"""A search asks the same of one fit again and again: beside each rival, in each pair."""
+
+
+def starts_beside(fitted: Fitted, group: Sequence[str]) -> Starts:
+    """Sets of values by key from which a fit may begin that has an absent group of terms as well.
+
+    An order begins where it promises most beside the fit, with its waves as large as they promise.
+    """
+    model = fitted.problem.model
+    terms = terms_named(model, group)
+    sets = starts_of(model, terms, fitted.problem.record)
+    for term in terms:
+        order = next((p for p in term.parameters if p.waves_over), None)
+        if order is not None and model.state_names:
+            best, *others = wave_starts(fitted, term, order) or [{}]
+            sets = [*({**values, **best} for values in sets), *({**sets[0], **other} for other in others)]
+    return [dict(each) for each in dict.fromkeys(tuple(values.items()) for values in sets)]
+
+
+def wave_starts(fitted: Fitted, term: Term, order: Parameter) -> Starts:
+    """Values of a term's parameters, at the orders that promise most beside a fit without it, best first."""
+    problem = fitted.problem
+    known = _known.setdefault(problem, {})
+    if term.key in known:
+        return known[term.key]
+    along = problem.model.coordinates(
+        fitted.theta, problem.record, problem.windows, fitted.solution.point.states
+    )
+    waves = [p for p in term.parameters if p is not order]
+    scan = Scan(Unexplained.of(fitted), order, waves, along[order.waves_over])
+    keys = [p.key for p in waves]
+    known[term.key] = [{order.key: k, **dict(zip(keys, sizes, strict=True))} for k, sizes in scan.best()]
+    return known[term.key]
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """What waves of any order would explain of what a fit leaves; ``way`` (N,) is the coordinate along it."""
+
+    unexplained: Unexplained
+    order: Parameter
+    waves: list[Parameter]
+    way: FloatArray
+
+    def best(self) -> list[tuple[float, list[float]]]:
+        """The orders that promise most, best first, each with the sizes of its waves.
+
+        Where windows see but a small part of the way, each has a phase of its own at first, and orders beside
+        the best ones are tried again with one phase for all.
+        """
+        together, apart = TURN / max(float(np.ptp(self.way)), 1e-12), TURN / self._span()
+        if apart < FEW * together:
+            return self._peaks(self._tried(together), one_phase=True)
+        peaks = [k for k, _ in self._peaks(self._tried(apart), one_phase=False)]
+        near = [np.r_[k, np.arange(max(k - apart, self.order.lower), k + apart, together)] for k in peaks]
+        return self._peaks(np.unique(np.concatenate([[], *near])), one_phase=True)
+
+    def _tried(self, step: float) -> FloatArray:
+        """Orders a step apart, as far up as samples show them."""
+        windows = self.unexplained.fitted.problem.windows
+        moved = np.abs(np.diff(self.way))[np.diff(windows.owner) == 0]
+        if not moved.any():
+            return np.empty(0)
+        high = np.pi / float(np.quantile(moved[moved > 0.0], SLOW))
+        low = self.order.lower
+        return np.arange(low, min(self.order.upper, high, low + MOST * step), step)
+
+    def _span(self) -> float:
+        """The way that a window sees, the median."""
+        owner = self.unexplained.fitted.problem.windows.owner
+        edges = np.flatnonzero(np.r_[True, np.diff(owner) > 0])
+        spans = np.maximum.reduceat(self.way, edges) - np.minimum.reduceat(self.way, edges)
+        return max(float(np.median(spans)), 1e-12)
+
+    def _peaks(self, orders: FloatArray, *, one_phase: bool) -> list[tuple[float, list[float]]]:
+        """The highest local maxima among orders in turn, highest first, with the sizes of their waves."""
+        found = [self._promise(float(k), one_phase=one_phase) for k in orders]
+        promised = np.array([-np.inf, *(promise for promise, _ in found), -np.inf])
+        peaks = np.flatnonzero((promised[1:-1] >= promised[:-2]) & (promised[1:-1] > promised[2:]))
+        highest = peaks[np.argsort(-promised[1:-1][peaks])][:PROPOSED]
+        return [(float(orders[i]), found[i][1]) for i in highest]
+
+    def _promise(self, order: float, *, one_phase: bool) -> tuple[float, list[float]]:
+        """What of the squares the waves of one order explain, and their sizes."""
+        told, problem = self.unexplained, self.unexplained.fitted.problem
+        places = index_of(problem.model.parameters)
+        columns = []
+        for wave in self.waves:
+            theta = told.fitted.theta.copy()
+            theta[places[self.order.key]] = order
+            theta[places[wave.key]] = SMALL * wave.scale
+            columns.append(told.changed(theta))
+        both = np.column_stack(columns)
+        both = told.beside(both) if one_phase else told.beside_states(both)
+        products, pull = both[:, :, None] * both[:, None, :], both * told.target[:, None]
+        if one_phase:
+            gram, pull = products.sum(axis=0, keepdims=True), pull.sum(axis=0, keepdims=True)
+        else:
+            gram, pull = problem.per_window(products), problem.per_window(pull)
+        gram += 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(len(self.waves)) + 1e-300
+        sizes = np.linalg.solve(gram, pull[:, :, None])[:, :, 0]
+        explained = float(np.sum(sizes * pull))
+        return explained, (-SMALL * sizes[0] * [wave.scale for wave in self.waves]).tolist()
