@@ -31,6 +31,9 @@ MOST = 150
 FEW = 5.0
 """Times that the way is longer than what windows see of it, from which they have phases of their own."""
 
+TWO_WAVES = 4.0 * np.pi
+"""Radians: what does not repeat within the way is no wave of it."""
+
 PROPOSED = 3
 """Orders at which fits begin."""
 
@@ -94,7 +97,7 @@ class Scan:
         if apart < FEW * together:
             return self._peaks(self._tried(together), one_phase=True)
         peaks = [k for k, _ in self._peaks(self._tried(apart), one_phase=False)]
-        near = [np.r_[k, np.arange(max(k - apart, self.order.lower), k + apart, together)] for k in peaks]
+        near = [np.r_[k, np.arange(max(k - apart, self._lowest()), k + apart, together)] for k in peaks]
         return self._peaks(np.unique(np.concatenate([[], *near])), one_phase=True)
 
     def _tried(self, step: float) -> FloatArray:
@@ -104,8 +107,12 @@ class Scan:
         if not moved.any():
             return np.empty(0)
         high = np.pi / float(np.quantile(moved[moved > 0.0], SLOW))
-        low = self.order.lower
+        low = self._lowest()
         return np.arange(low, min(self.order.upper, high, low + MOST * step), step)
+
+    def _lowest(self) -> float:
+        """The lowest order of which the way has two waves."""
+        return max(self.order.lower, TWO_WAVES / max(float(np.ptp(self.way)), 1e-12))
 
     def _span(self) -> float:
         """The way that a window sees, the median."""
@@ -133,12 +140,13 @@ class Scan:
             theta[places[wave.key]] = SMALL * wave.scale
             columns.append(told.changed(theta))
         both = np.column_stack(columns)
-        both = told.beside(both) if one_phase else told.beside_states(both)
-        products, pull = both[:, :, None] * both[:, None, :], both * told.target[:, None]
         if one_phase:
-            gram, pull = products.sum(axis=0, keepdims=True), pull.sum(axis=0, keepdims=True)
+            both = told.beside(both)
+            gram, pull = (both.T @ both)[None], (both.T @ told.target)[None]
         else:
-            gram, pull = problem.per_window(products), problem.per_window(pull)
+            both = told.beside_states(both)
+            gram = problem.per_window(both[:, :, None] * both[:, None, :])
+            pull = problem.per_window(both * told.target[:, None])
         gram += 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(len(self.waves)) + 1e-300
         sizes = np.linalg.solve(gram, pull[:, :, None])[:, :, 0]
         explained = float(np.sum(sizes * pull))

@@ -17,6 +17,8 @@ from labhil.signals import FloatArray
 
 WORST_GROWTH = 1.3
 SCOUT_ITERATIONS = 8
+FIRST_ITERATIONS, LED_ON = 3, 2
+"""Steps from every start where there are many, and from how many of them a scout goes on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,25 +103,17 @@ def fit_terms(
     windows = fit_windows(record, window)
     every = free_of(model, terms, held)
     free = every if shapes else every[[not model.parameters[i].shape for i in every]]
-    best: tuple[Problem, Solution] | None = None
     if starts is None:
         fresh = terms_named(model, terms if new_terms is None else new_terms)
         starts = starts_of(model, fresh, record) if fresh else [{}]
     places = index_of(model.parameters)
+    problems = []
     for values in starts:
         theta = begin.copy()
         theta[[places[key] for key in values]] = list(values.values())
-        problem = Problem(model, record, windows, free, theta, sigma)
-        limit = SCOUT_ITERATIONS if len(starts) > 1 or hopeless < float("inf") else iterations
-        begin_at = problem.start() if states is None else Point(problem.start().z, states)
-        settled = states is not None
-        solution = least_squares(
-            problem, begin_at, iterations=limit, tolerance=tolerance, settled=settled, thorough=False
-        )
-        if best is None or solution.cost < best[1].cost:
-            best = problem, solution
-    assert best is not None
-    problem, solution = best
+        problems.append(Problem(model, record, windows, free, theta, sigma))
+    limit = SCOUT_ITERATIONS if len(starts) > 1 or hopeless < float("inf") else iterations
+    problem, solution = _best_scout(problems, states, limit, tolerance)
     if solution.cost <= hopeless and (thorough or not solution.converged):
         solution = least_squares(
             problem,
@@ -136,6 +130,31 @@ def fit_terms(
         solution = replace(solution, point=Point(whole.start().z, solution.point.states))
         problem = whole
     return Fitted(tuple(terms), theta, problem, solution)
+
+
+def _best_scout(
+    problems: Sequence[Problem], states: FloatArray | None, limit: int, tolerance: float
+) -> tuple[Problem, Solution]:
+    """The best fit of ``limit`` steps from where each problem begins; of many only the better go so far."""
+    many = len(problems) > LED_ON
+    scouts = []
+    for problem in problems:
+        begin = problem.start() if states is None else Point(problem.start().z, states)
+        steps, settled = FIRST_ITERATIONS if many else limit, states is not None
+        found = least_squares(
+            problem, begin, iterations=steps, tolerance=tolerance, settled=settled, thorough=False
+        )
+        scouts.append((problem, found))
+    scouts.sort(key=lambda scout: scout[1].cost)
+    if many:
+        steps = limit - FIRST_ITERATIONS
+        scouts = [
+            (problem, least_squares(
+                problem, found.point, iterations=steps, tolerance=tolerance, settled=True, thorough=False
+            ))
+            for problem, found in scouts[:LED_ON]
+        ]  # fmt: skip
+    return min(scouts, key=lambda scout: scout[1].cost)
 
 
 def covariances(fitted: Fitted) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -28,6 +28,9 @@ TIME_CONSTANTS = 3.0
 REFERENCE = 20.0
 """Temperature (°C) at which viscous friction is what it is said to be."""
 
+TWO_WAVES = 4.0 * np.pi
+"""Radians: what does not repeat within the way is no cogging."""
+
 STATE_SPAN = 0.05
 """Seconds over which the first position and velocity of a window are guessed."""
 
@@ -123,7 +126,7 @@ def catalogue(s: Sizes) -> dict[str, Term]:
                 Parameter("cogging_torque.sine", "N", level, starts=(0.3 * level,)),
                 Parameter("cogging_torque.cosine", "N", level, starts=(0.3 * level,)),
                 Parameter(
-                    "cogging_torque.order", "rad/m", 20.0 / s.span, 2.0 / s.span, 2e3 / s.span,
+                    "cogging_torque.order", "rad/m", 20.0 / s.span, TWO_WAVES / s.span, 2e3 / s.span,
                     starts=(20.0 / s.span, 60.0 / s.span, 200.0 / s.span), shape=True, waves_over="position",
                 ),
             ),

@@ -66,14 +66,4 @@ def effective(record: Record, column: int, value: Value) -> input_path.Nodes:
 
 def lagged(record: Record, windows: Windows, values: FloatArray, time_constant: float) -> FloatArray:
     """An output (N,) behind a sensor's first-order lag, which every window finds as after a steady slope."""
-    edges = np.flatnonzero(np.diff(windows.owner)) + 1
-    pieces = zip(np.split(record.t[windows.rows], edges), np.split(values, edges), strict=True)
-    return np.concatenate([_behind(t, part, time_constant) for t, part in pieces])
-
-
-def _behind(t: FloatArray, x: FloatArray, time_constant: float) -> FloatArray:
-    settled = input_path.first_order_lag(t, x, time_constant)
-    if len(t) < 2:
-        return settled
-    slope = (x[1] - x[0]) / (t[1] - t[0])
-    return np.asarray(settled - slope * time_constant * np.exp(-(t - t[0]) / time_constant))
+    return input_path.sensor_lag(record.t[windows.rows], values, windows.owner, time_constant)

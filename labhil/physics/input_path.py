@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from labhil.compiled import inlined
-from labhil.signals import FloatArray
+from labhil.signals import FloatArray, IntArray
 
 Nodes = tuple[FloatArray, FloatArray]
 
@@ -131,6 +131,27 @@ def first_order_lag(t: FloatArray, u: FloatArray, time_constant: float) -> Float
         slope = (u[i] - u[i - 1]) / h
         decay = np.exp(-h / time_constant)
         y[i] = u[i] - slope * time_constant + (y[i - 1] - u[i - 1] + slope * time_constant) * decay
+    return y
+
+
+@inlined
+def sensor_lag(t: FloatArray, x: FloatArray, owner: IntArray, time_constant: float) -> FloatArray:
+    """The same of windows after each other, rows of one ``owner`` (N,) each; begins as after a steady slope."""
+    y = x.copy()
+    before, decay = -1.0, 0.0
+    for i in range(x.size):
+        if i == 0 or owner[i] != owner[i - 1]:
+            if i + 1 < x.size and owner[i + 1] == owner[i]:
+                y[i] = x[i] - time_constant * (x[i + 1] - x[i]) / (t[i + 1] - t[i])
+            continue
+        h = t[i] - t[i - 1]
+        if h <= 0.0:
+            y[i] = y[i - 1]
+            continue
+        if h != before:
+            before, decay = h, np.exp(-h / time_constant)
+        behind = time_constant * (x[i] - x[i - 1]) / h
+        y[i] = x[i] - behind + (y[i - 1] - x[i - 1] + behind) * decay
     return y
 
 

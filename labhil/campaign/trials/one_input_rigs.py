@@ -43,7 +43,7 @@ AXIS = OneInputBench(
     kind="axis",
     rig='[rig]\nkind = "axis"\n',
     period=0.005,
-    samples=(4000, 4000),
+    samples=(2000, 2000),
     outputs=("position",),
     noise=(50.0, 65.0),
     spread={
