@@ -136,7 +136,7 @@ def first_order_lag(t: FloatArray, u: FloatArray, time_constant: float) -> Float
 
 @inlined
 def sensor_lag(t: FloatArray, x: FloatArray, owner: IntArray, time_constant: float) -> FloatArray:
-    """The same of windows after each other, rows of one ``owner`` (N,) each; begins as after a steady slope."""
+    """The same of windows, rows of one ``owner`` (N,) each; every one begins as after a steady slope."""
     y = x.copy()
     before, decay = -1.0, 0.0
     for i in range(x.size):
