@@ -7,8 +7,8 @@ from concurrent.futures import Executor
 
 from labhil.diagnose.evidence import bic, effective_samples
 from labhil.diagnose.judge import NEEDED_BIC, Data
-from labhil.diagnose.waves import starts_beside
 from labhil.identify.fitted import Fitted, fit_terms
+from labhil.identify.waves import starts_beside
 from labhil.physics.model import Model
 
 ROUGHLY = 1e-4

@@ -11,9 +11,9 @@ import numpy as np
 
 from labhil.diagnose.evidence import effective_samples
 from labhil.diagnose.judge import NEEDED_BIC, Data
-from labhil.diagnose.projection import Unexplained, orthonormal
-from labhil.diagnose.waves import starts_beside
 from labhil.identify.fitted import Fitted
+from labhil.identify.projection import Unexplained, orthonormal
+from labhil.identify.waves import starts_beside
 from labhil.physics.model import Model, index_of, terms_named
 from labhil.signals import FloatArray
 

@@ -16,6 +16,7 @@ import numpy as np
 from labhil.identify.fitted import Fitted, covariances
 from labhil.identify.least_squares import Solution, least_squares
 from labhil.identify.problem import Point, Problem
+from labhil.identify.waves import orders_instead
 from labhil.physics.terms import Parameter
 from labhil.signals import FloatArray
 
@@ -47,8 +48,11 @@ def over_shapes(fitted: Fitted) -> Fitted:
     errors = _errors(fitted)
     for j, place in enumerate(fitted.problem.free):
         parameter = fitted.problem.model.parameters[place]
-        values = _values(parameter, float(fitted.theta[place]), float(errors[j]))
         best = min(found, key=lambda each: each.solution.cost)
+        if parameter.waves_over and fitted.problem.model.state_names:
+            values = orders_instead(best, parameter)
+        else:
+            values = _values(parameter, float(fitted.theta[place]), float(errors[j]))
         found.extend(_scanned(best, j, values))
     best = min(found, key=lambda each: each.solution.cost)
     return replace(best, rivals=tuple(_rivals(best, found)))

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from labhil.diagnose.waves import starts_beside
+from labhil.identify.fit import Options, fit
 from labhil.identify.fitted import Fitted, fit_terms
+from labhil.identify.waves import starts_beside
 from labhil.identify.windows import noise_of
 from labhil.physics.rigs import rig_model
 
@@ -35,10 +36,22 @@ def without_waves(kind: str, found: Replay) -> Fitted:
     return fit_terms(model, record, rig_model(kind).baseline, model.horizon, noise_of(record))
 
 
-@pytest.mark.parametrize("kind, orders", [("dc_motor", (5.3, 7.0, 16.4)), ("axis", (150.0, 260.0, 431.0))])
+@pytest.mark.parametrize("kind, orders", [("dc_motor", (5.3, 16.4)), ("axis", (150.0, 431.0))])
 def test_an_order_that_nobody_knows_is_among_the_starts(kind, orders):
     for seed, order in enumerate(orders):
         found = recorded(kind, order, seed)
         starts = starts_beside(without_waves(kind, found), ["cogging_torque"])
         proposed = [values["cogging_torque.order"] for values in starts]
         assert min(abs(k - order) for k in proposed) < 0.03 * order, proposed
+
+
+@pytest.mark.parametrize(
+    "kind, order", [("dc_motor", 7.3), pytest.param("axis", 331.0, marks=pytest.mark.extended)]
+)
+def test_a_fit_finds_the_order_by_itself(kind, order):
+    found = recorded(kind, order, 5)
+    terms = (*rig_model(kind).baseline, "cogging_torque")
+    answer = fit(found.model, found.record, terms, options=Options(estimator="nlse", seed=1))
+    (told,) = [row for row in answer.estimates if row.name == "cogging_torque.order"]
+    assert told.value == pytest.approx(order, rel=0.01)
+    assert answer.fitted.noise < 1.2

@@ -7,14 +7,14 @@ the right one: every order is asked what its two waves would explain, by project
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from labhil.diagnose.projection import Unexplained
 from labhil.identify.fitted import Fitted
-from labhil.identify.problem import Problem
+from labhil.identify.problem import Point, Problem
+from labhil.identify.projection import Unexplained
 from labhil.physics.model import index_of, starts_of, terms_named
 from labhil.physics.terms import Parameter, Term
 from labhil.signals import FloatArray
@@ -62,20 +62,36 @@ def starts_beside(fitted: Fitted, group: Sequence[str]) -> Starts:
     return [dict(each) for each in dict.fromkeys(tuple(values.items()) for values in sets)]
 
 
+def orders_instead(fitted: Fitted, order: Parameter) -> FloatArray:
+    """Orders that promise most for a fitted term that has one, whatever the fit took it for; best first."""
+    problem, point = fitted.problem, fitted.solution.point
+    term = problem.model.terms[order.term or ""]
+    places = index_of(problem.model.parameters)
+    theta = fitted.theta.copy()
+    theta[[places[p.key] for p in term.parameters if p is not order]] = 0.0
+    bare = Point(theta[problem.free] / problem.scale, point.states)
+    residuals = problem.residuals(bare)
+    without = replace(fitted, theta=theta, solution=replace(fitted.solution, point=bare, residuals=residuals))
+    return np.array([values[order.key] for values in _scanned(without, term, order)])
+
+
 def wave_starts(fitted: Fitted, term: Term, order: Parameter) -> Starts:
     """Values of a term's parameters, at the orders that promise most beside a fit without it, best first."""
+    known = _known.setdefault(fitted.problem, {})
+    if term.key not in known:
+        known[term.key] = _scanned(fitted, term, order)
+    return known[term.key]
+
+
+def _scanned(fitted: Fitted, term: Term, order: Parameter) -> Starts:
     problem = fitted.problem
-    known = _known.setdefault(problem, {})
-    if term.key in known:
-        return known[term.key]
     along = problem.model.coordinates(
         fitted.theta, problem.record, problem.windows, fitted.solution.point.states
     )
     waves = [p for p in term.parameters if p is not order]
     scan = Scan(Unexplained.of(fitted), order, waves, along[order.waves_over])
     keys = [p.key for p in waves]
-    known[term.key] = [{order.key: k, **dict(zip(keys, sizes, strict=True))} for k, sizes in scan.best()]
-    return known[term.key]
+    return [{order.key: k, **dict(zip(keys, sizes, strict=True))} for k, sizes in scan.best()]
 
 
 @dataclass(frozen=True, slots=True)
