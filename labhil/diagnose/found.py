@@ -8,6 +8,9 @@ from dataclasses import dataclass, field
 from labhil.diagnose.evidence import Evidence
 from labhil.identify.fitted import Fitted
 
+BETTER = 1e-3
+"""Share of the cost by which a fit of the same terms has to be better to be another one."""
+
 
 @dataclass(frozen=True, slots=True)
 class Step:
@@ -55,19 +58,29 @@ class Found:
 class Trail:
     """Where a search stands: the best model so far, p values of its steps, rivals of its terms.
 
-    ``been`` are the sets of terms that it stood at, and does not go back to.
+    ``been`` are the sets of terms that it stood at, with the cost there: it goes back only to a better fit,
+    for a first one may have ended in a wrong valley.
     """
 
     current: Fitted
     p_values: list[float]
     rivals: tuple[Rival, ...] = ()
-    been: set[frozenset[str]] = field(default_factory=set)
+    been: dict[frozenset[str], float] = field(default_factory=dict)
+
+    def begin(self, fitted: Fitted) -> None:
+        """Stand there, on windows on which it has been nowhere yet."""
+        self.been = {frozenset(fitted.terms): fitted.solution.cost}
+        self.current = fitted
+
+    def may_go(self, fitted: Fitted) -> bool:
+        """Whether it has not stood there, or at a clearly worse fit of the same terms."""
+        cost = self.been.get(frozenset(fitted.terms), float("inf"))
+        return fitted.solution.cost < (1.0 - BETTER) * cost
 
     def go(self, fitted: Fitted) -> bool:
         """Stand there from now on; False, and stay, where it has been before."""
-        terms = frozenset(fitted.terms)
-        if terms in self.been:
+        if not self.may_go(fitted):
             return False
-        self.been.add(terms)
+        self.been[frozenset(fitted.terms)] = fitted.solution.cost
         self.current = fitted
         return True

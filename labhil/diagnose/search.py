@@ -42,7 +42,8 @@ def search(data: Data, baseline: Fitted, progress: Progress) -> Found:
     Short ones lead to the neighbourhood whatever is missing; what acts slowly shows on longer ones only.
     """
     looks = len(candidates(data.model, baseline.terms))
-    trail = Trail(baseline, [], been={frozenset(baseline.terms)})
+    trail = Trail(baseline, [])
+    trail.begin(baseline)
     with ThreadPoolExecutor(os.cpu_count()) as executor:
         hunt = Hunt(data, baseline, looks, executor, progress)
         hunt.follow(trail)
@@ -102,9 +103,8 @@ class Hunt:
         """
         short = trail.current
         longest = replace(self.data, window=self._reach(LONGER[-1]))
-        trail.current = _onward(longest, short)
         # what gave way on short windows may be right on long ones
-        trail.been = {frozenset(short.terms)}
+        trail.begin(_onward(longest, short))
         onward = replace(self, data=longest, baseline=_onward(longest, self.baseline))
         onward.follow(trail, only_promising=True)
         # noise that drives the plant itself, or a force without a name, biases what long windows say

@@ -58,7 +58,7 @@ def swapped(
         others = confirm(data, reduced, groups, executor, HOPELESS * current.solution.cost, current)
         for trial in [*narrowed, *others[:FINALISTS]]:
             rival, delta = trial.terms[-1], odds(data, current, trial, left)
-            if delta < 0.0 and frozenset(trial.terms) not in trail.been:
+            if delta < 0.0 and trail.may_go(trial):
                 rivals.append(Rival(term, rival, -delta))
                 current = trial
                 break
