@@ -7,6 +7,7 @@ from concurrent.futures import Executor
 from dataclasses import replace
 
 import numpy as np
+from scipy.stats import chi2
 
 from labhil.diagnose.evidence import bic, effective_samples
 from labhil.diagnose.found import Rival, Step, Trail
@@ -15,6 +16,8 @@ from labhil.diagnose.refit import FINALISTS, confirm, refit, without
 from labhil.diagnose.screen import Progress, Screen, candidates
 from labhil.identify.fitted import Fitted, covariances
 from labhil.identify.intervals import quantile
+from labhil.identify.statistics import ALPHA
+from labhil.identify.waves import MOST
 from labhil.physics.model import index_of
 
 RELEVANT, RELEVANT_BESIDE = 0.05, 0.5
@@ -108,15 +111,23 @@ def relevant(baseline: Fitted, before: Fitted, after: Fitted) -> bool:
 
 
 def _significant(fitted: Fitted, term: str) -> bool:
-    """Whether a size of this term is told from zero; one with a shape is judged by its evidence alone."""
+    """Whether a size of this term is told from zero; one with a shape is judged by its evidence alone.
+
+    Both waves of an order together, which was the best of many.
+    """
     parameters = fitted.problem.model.terms[term].parameters
-    if any(p.shape for p in parameters):
+    repeats = any(p.waves_over for p in parameters)
+    if any(p.shape for p in parameters) and not repeats:
         return True
     robust, _, _ = covariances(fitted)
     places = index_of(fitted.problem.model.parameters)
     free = fitted.problem.free.tolist()
-    own = [free.index(places[p.key]) for p in parameters if places[p.key] in free]
+    sizes = [p.key for p in parameters if not p.shape]
+    own = [free.index(places[key]) for key in sizes if places[key] in free]
     values, errors = fitted.theta[fitted.problem.free[own]], np.sqrt(np.diag(robust)[own])
+    if repeats:
+        square = float(values @ np.linalg.pinv(robust[np.ix_(own, own)], hermitian=True) @ values)
+        return square > float(chi2.isf(ALPHA / MOST, len(own)))
     return bool(np.any(np.abs(values) > quantile() * errors))
 
 
