@@ -102,8 +102,11 @@ class Cli:
             except psutil.Error:
                 continue
 
-    def host(self) -> psutil.Process:
-        return next(process for process in self.processes() if "labhil.service.host" in process.cmdline())
+    def host(self, run: subprocess.Popen[str]) -> psutil.Process:
+        """The host of a run; where that has ended by itself, the test fails with what it said."""
+        hosts = [process for process in self.processes() if "labhil.service.host" in process.cmdline()]
+        assert hosts, f"the run has ended: {self.finish(run).stderr}"
+        return hosts[0]
 
     def recordings(self) -> list[Path]:
         return sorted(self.directory.glob("*.mcap*"))
@@ -287,7 +290,7 @@ def test_garbage_on_the_line_is_bad_input(cli: Cli) -> None:
 def test_a_host_that_is_killed_ends_the_run(cli: Cli) -> None:
     process = cli.start(experiment(duration=100.0))
     cli.wait_until_it_records()
-    cli.host().kill()
+    cli.host(process).kill()
     done = cli.finish(process)
     assert done.returncode == 1
     assert "the host of 'bench' died (SIGKILL)" in done.stderr
