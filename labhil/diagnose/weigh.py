@@ -116,7 +116,7 @@ def _significant(fitted: Fitted, term: str) -> bool:
     Both waves of an order together, which was the best of many.
     """
     parameters = fitted.problem.model.terms[term].parameters
-    repeats = any(p.waves_over for p in parameters)
+    repeats = fitted.problem.model.terms[term].order is not None
     if any(p.shape for p in parameters) and not repeats:
         return True
     robust, _, _ = covariances(fitted)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labhil.identify.fitted import Fitted
+from labhil.identify.penalised import Projected
 from labhil.identify.problem import Linearised
 from labhil.signals import FloatArray
 
@@ -27,11 +28,9 @@ class Unexplained:
     @classmethod
     def of(cls, fitted: Fitted) -> Unexplained:
         """Linearise a fit where it stands."""
-        problem, residuals = fitted.problem, fitted.solution.residuals
-        lin = problem.linearise(fitted.solution.point, residuals)
-        own = problem.project(lin, np.column_stack([lin.by_parameters, residuals]))
-        basis, target = orthonormal(own[:, :-1]), own[:, -1]
-        return cls(fitted, lin, basis, target - basis @ (basis.T @ target))
+        near, lin = Projected.at(fitted.problem, fitted.solution.point, fitted.solution.residuals)
+        basis = orthonormal(near.slopes)
+        return cls(fitted, lin, basis, near.residuals - basis @ (basis.T @ near.residuals))
 
     def changed(self, theta: FloatArray) -> FloatArray:
         """What another vector ``theta`` changes in the residuals, (N·c,), all states held."""

@@ -16,7 +16,7 @@ from labhil.identify.fitted import Fitted
 from labhil.identify.problem import Point, Problem
 from labhil.identify.projection import Unexplained
 from labhil.physics.model import index_of, starts_of, terms_named
-from labhil.physics.terms import Parameter, Term
+from labhil.physics.terms import TWO_WAVES, Parameter, Term
 from labhil.signals import FloatArray
 
 TURN = 2.0
@@ -30,9 +30,6 @@ MOST = 150
 
 FEW = 5.0
 """Times that the way is longer than what windows see of it, from which they have phases of their own."""
-
-TWO_WAVES = 4.0 * np.pi
-"""Radians: what does not repeat within the way is no wave of it."""
 
 PROPOSED = 3
 """Orders at which fits begin."""
@@ -55,9 +52,8 @@ def starts_beside(fitted: Fitted, group: Sequence[str]) -> Starts:
     terms = terms_named(model, group)
     sets = starts_of(model, terms, fitted.problem.record)
     for term in terms:
-        order = next((p for p in term.parameters if p.waves_over), None)
-        if order is not None and model.state_names:
-            best, *others = wave_starts(fitted, term, order) or [{}]
+        if term.order is not None and model.state_names:
+            best, *others = wave_starts(fitted, term, term.order) or [{}]
             sets = [*({**values, **best} for values in sets), *({**sets[0], **other} for other in others)]
     return [dict(each) for each in dict.fromkeys(tuple(values.items()) for values in sets)]
 
@@ -132,8 +128,8 @@ class Scan:
 
     def _span(self) -> float:
         """The way that a window sees, the median."""
-        owner = self.unexplained.fitted.problem.windows.owner
-        edges = np.flatnonzero(np.r_[True, np.diff(owner) > 0])
+        problem = self.unexplained.fitted.problem
+        edges = problem.edges // len(problem.sigma)
         spans = np.maximum.reduceat(self.way, edges) - np.minimum.reduceat(self.way, edges)
         return max(float(np.median(spans)), 1e-12)
 

@@ -19,7 +19,7 @@ from labhil.physics.extra_force import ExtraForce, MovedPart
 from labhil.physics.friction_terms import friction_terms, load_dependent_friction
 from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.path_terms import input_terms, output_terms
-from labhil.physics.terms import Enters, Parameter, Term, Yardstick
+from labhil.physics.terms import TWO_WAVES, Enters, Parameter, Term, Yardstick
 from labhil.physics.values import Values, horizon_of, known_numbers, near
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
@@ -27,9 +27,6 @@ from labhil.signals import FloatArray
 TIME_CONSTANTS = 3.0
 REFERENCE = 20.0
 """Temperature (°C) at which viscous friction is what it is said to be."""
-
-TWO_WAVES = 4.0 * np.pi
-"""Radians: what does not repeat within the way is no cogging."""
 
 STATE_SPAN = 0.05
 """Seconds over which the first position and velocity of a window are guessed."""

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from math import pi
+
+TWO_WAVES = 4.0 * pi
+"""Radians: what has not so many within the way is not seen to repeat."""
 
 
 class Enters(StrEnum):
@@ -109,6 +113,11 @@ class Term:
     def key(self) -> str:
         """Its name, unique among the terms of a model: with the joint in brackets."""
         return keyed(self.name, self.joint)
+
+    @property
+    def order(self) -> Parameter | None:
+        """How often it repeats along a coordinate, estimated; None where it does not."""
+        return next((p for p in self.parameters if p.waves_over), None)
 
 
 def unkeyed(key: str) -> tuple[str, int | None]:
