@@ -13,6 +13,7 @@ from labhil.console import refuse_unwritable, results_console, status, write_jso
 if TYPE_CHECKING:
     from labhil.campaign.trials.card import Card
 
+FIRST = "Number of the first: of a seed whose earlier trials you have looked at."
 METHOD = "diagnose, or stepwise: forward steps by the extended BIC, to compare with."
 
 
@@ -51,6 +52,7 @@ def trial_make(
     seed: Annotated[
         int | None, typer.Option(help="For tests: the same trials again; default: the system's randomness.")
     ] = None,
+    first: Annotated[int, typer.Option(help=FIRST)] = 1,
     jobs: Annotated[int | None, typer.Option(help="Processes (default: one a core).")] = None,
 ) -> None:
     """Draw rigs with concealed physics and record them; the answers are sealed in a folder elsewhere.
@@ -60,7 +62,7 @@ def trial_make(
     """
     from labhil.campaign.trials.make import Order, answers_beside, make_trials
 
-    order = Order(rig, trials, effects, out, answers or answers_beside(out), seed)
+    order = Order(rig, trials, effects, out, answers or answers_beside(out), seed, first=first)
     with status() as say:
         index = make_trials(order, jobs or _cores(), say)
     if index.fixed_seed:
@@ -117,6 +119,7 @@ def trial_benchmark(
     seed: Annotated[
         int | None, typer.Option(help="For tests: the same trials again; default: the system's randomness.")
     ] = None,
+    first: Annotated[int, typer.Option(help=FIRST)] = 1,
     method: Annotated[str, typer.Option(help=METHOD)] = "diagnose",
     jobs: Annotated[int | None, typer.Option(help="Processes (default: one a core).")] = None,
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
@@ -127,7 +130,8 @@ def trial_benchmark(
 
     refuse_unwritable(json_path, plot_path)
     with status() as say:
-        card = run_trial_benchmark(Plan(rig, trials, out, seed, method, jobs or _cores()), say)
+        plan = Plan(rig, trials, out, seed, method, jobs or _cores(), first)
+        card = run_trial_benchmark(plan, say)
     _tell(card, json_path, plot_path)
 
 

@@ -14,11 +14,12 @@ from labhil.diagnose.evidence import bic, effective_samples, unlikelier
 from labhil.diagnose.found import Found, Step
 from labhil.diagnose.judge import NEEDED_BIC, Data
 from labhil.diagnose.refit import refit, without
-from labhil.diagnose.rest import left_by, stands_in
+from labhil.diagnose.rest import left_by, stands_in, unexplained
 from labhil.diagnose.unmodelled import Unmodelled, unmodelled
 from labhil.identify.fitted import Fitted
 from labhil.identify.kept_curve import under
 from labhil.physics.extra_force import MovedPart, Yielding
+from labhil.physics.model import Model
 from labhil.physics.terms import Enters
 
 SURELY, MISNAMED = 2.5, 1.5
@@ -93,11 +94,13 @@ def _of_part(
 def imitated(data: Data, found: Found, excess: float) -> tuple[Found, tuple[Unmodelled, ...]]:
     """What was found, or a curve where named forces only imitate that.
 
-    It is looked for where the worst output of a single part is off by ``excess`` times its noise floor.
+    It is looked for where the worst output of a single part is off by ``excess`` times its noise floor, and
+    where there are several such forces.
     """
     model = data.model
-    forces = [step for step in found.missing if model.terms[step.terms[0]].enters is Enters.FORCE]
-    if excess < DOUBTFUL or not forces or not isinstance(model, Yielding) or len(model.moved) > 1:
+    forces = _forces(model, found)
+    doubtful = excess >= DOUBTFUL or len(forces) > 1
+    if not forces or not doubtful or not isinstance(model, Yielding) or len(model.moved) > 1:
         return found, ()
     found, curve = _or_curve(data, found, model.moved[0])
     return found, (() if curve is None else (curve,))
@@ -106,13 +109,18 @@ def imitated(data: Data, found: Found, excess: float) -> tuple[Found, tuple[Unmo
 def _instead(data: Data, found: Found, part: MovedPart) -> tuple[Found, Unmodelled | None]:
     """A curve in the place of named terms, or nothing where these only stood in for something else."""
     found, curve = _or_curve(data, found, part)
-    if curve is None and stands_in(found.baseline, found.final):
+    replaced = curve is not None or not stands_in(found.baseline, found.final)
+    if not replaced and unexplained(data, left_by(data, found.final)):
         return _less(data, found, found.missing), None
     return found, curve
 
 
 def _or_curve(data: Data, found: Found, part: MovedPart) -> tuple[Found, Unmodelled | None]:
-    """What was found, or a curve alone where that has very strong evidence over the named terms."""
+    """What was found, or a curve alone where that has very strong evidence over the named terms.
+
+    Over several named forces it needs no more than that it is likelier, each of them chosen among as many
+    (the extended BIC): that a rig has them all is less likely than that it has one which they imitate.
+    """
     simpler = _less(data, found, found.missing)
     alone = _curve(data, simpler.final, (), part)
     if alone is None:
@@ -120,7 +128,15 @@ def _or_curve(data: Data, found: Found, part: MovedPart) -> tuple[Found, Unmodel
     effective = effective_samples(alone.fit)
     seen = bic(alone.fit, effective, alone.degrees) - bic(found.final, effective)
     held = unlikelier(data.left(data.model, found.final.theta), data.left(alone.model, alone.fit.theta))
-    return (simpler, alone) if seen + held < NEEDED_BIC else (found, None)
+    named = len(_forces(data.model, found))
+    chance = 2.0 * max(named - 1, 0) * np.log(found.looks)
+    needed = NEEDED_BIC if named < 2 else 0.0
+    return (simpler, alone) if seen + held - chance < needed else (found, None)
+
+
+def _forces(model: Model, found: Found) -> list[Step]:
+    """What was found that pushes a moving part."""
+    return [step for step in found.missing if model.terms[step.terms[0]].enters is Enters.FORCE]
 
 
 def _less(data: Data, found: Found, steps: Sequence[Step]) -> Found:

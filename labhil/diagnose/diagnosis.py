@@ -36,6 +36,9 @@ from labhil.signals import FloatArray
 SEARCH_WINDOW_IN_HORIZONS = 0.375
 FIRST_WINDOW_IN_HORIZONS = 0.1875
 FALSE_ALARM = 5e-4
+SHOWN = 1.3
+"""RMSE over the noise floor, on held-out data, that asks for a wider search."""
+
 LASTS = 1.1
 """Factor by which noise as the baseline leaves it must differ from that of single samples to count."""
 
@@ -146,23 +149,33 @@ def _found(
 def _looked_wider(
     data: Data, found: Found, look: Callable[[Data, Fitted], Found], progress: Callable[[str], None]
 ) -> tuple[Data, Found, FloatArray]:
-    """Data, what was found, and what that leaves: of a wider search where only held-out data show something.
+    """Data, what was found, and what that leaves: of a wider search where held-out data show something else.
 
-    It has to explain these; else the first answer stays.
+    What that names has to explain them; else the first answer stays. Where it names nothing, what was named
+    first does not hold on more data.
     """
     left = left_by(data, found.final)
-    parts = searched_and_kept(data) if unexplained(data, left[1]) and not unexplained(data, left[0]) else None
+    shown = unexplained(data, left[1]) or _excess(_marked(data, found)) > SHOWN
+    parts = searched_and_kept(data) if shown else None
     if parts is None:
         return data, found, left
-    progress("the held-out data show what the searched ones do not: the search goes on with half of them")
+    progress("the held-out data show something else: the search goes on with half of them")
     searched, kept = parts
     wider = replace(data, search=searched, test=kept, sigma=noise_of(searched), test_sigma=noise_of(kept))
     wider, base = _with_lasting_noise(wider, fit_baseline(wider, found.baseline.terms))
     again = look(wider, base)
     left_then = left_by(wider, again.final)
-    if not again.missing or unexplained(wider, left_then):
+    firm = not unexplained(wider, left_then) if again.missing else np.max(left_then) < np.max(left)
+    if not firm:
         return data, found, left
     return wider, again, left_then
+
+
+def _marked(data: Data, found: Found) -> Score:
+    """How well what was found foretells the held-out data, on the metric's windows."""
+    theta = found.final.theta
+    noise = lasting_noise(data.model, theta, data.test, noise_of(data.test))
+    return score(data.model, theta, data.test, noise.sigma, lasts=noise.lasts)
 
 
 def _on_shorter_windows(data: Data, found: Found, before: Score, after: Score) -> tuple[Score, Score] | None:
@@ -172,7 +185,7 @@ def _on_shorter_windows(data: Data, found: Found, before: Score, after: Score) -
     """
     if not found.missing or after.rmse < before.rmse or not data.model.state_names:
         return None
-    return data.judge(found.baseline.theta)[0], data.judge(found.final.theta)[0]
+    return data.scores(found.baseline.theta)[0], data.scores(found.final.theta)[0]
 
 
 def _accepted(model: Model, found: Found, curves: Sequence[Unmodelled]) -> tuple[Model, FloatArray]:

@@ -17,7 +17,7 @@ from labhil.diagnose.found import Found, Trail
 from labhil.diagnose.judge import Data, compare, supported
 from labhil.diagnose.refit import confirm, finish_best, refit
 from labhil.diagnose.screen import Candidate, Progress, candidates, rank
-from labhil.diagnose.weigh import pruned, relevant, supported_only, swapped
+from labhil.diagnose.weigh import ON_THE_WAY, pruned, relevant, supported_only, swapped
 from labhil.identify.fitted import WORST_GROWTH, Fitted, climb
 
 SETTLED = 1.05
@@ -89,7 +89,7 @@ class Hunt:
             if accepted is None and trail.current.noise > STILL_NOISY:
                 rest = [candidate.group for candidate in ranked[CONFIRMED:]]
                 accepted, _ = self._forward(trail.current, rest)
-            if accepted is None or not relevant(self.baseline, trail.current, accepted):
+            if accepted is None or not relevant(self.baseline, trail.current, accepted, self._share):
                 return
             accepted = refit(self.data, accepted, accepted.terms, (), thorough=True)
             if not trail.go(self.pruned(self.data, accepted)):
@@ -120,6 +120,11 @@ class Hunt:
     def pruned(self, data: Data, current: Fitted) -> Fitted:
         """Without the found terms that these data no longer need."""
         return pruned(data, current, self.base, self.progress)
+
+    @property
+    def _share(self) -> float:
+        """Of what is worth telling: in a linear problem no step leads through a valley to another one."""
+        return ON_THE_WAY if self.data.model.state_names else 1.0
 
     def _reach(self, share: float) -> float:
         return min(share * self.data.window, self.data.search.longest)

@@ -23,8 +23,8 @@ from labhil.physics.terms import Parameter, Term, keyed, unkeyed
 from labhil.signals import FloatArray
 
 WIDER = (
-    " The searched recording never comes there: every other part of the held-out one was searched, too, "
-    "and figures are of the parts between."
+    " The searched recording does not tell it by itself: every other part of the held-out one was searched, "
+    "too, and figures are of the parts between."
 )
 
 

@@ -7,7 +7,6 @@ from concurrent.futures import Executor
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import chi2
 
 from labhil.diagnose.evidence import bic, effective_samples
 from labhil.diagnose.found import Rival, Step, Trail
@@ -15,8 +14,7 @@ from labhil.diagnose.judge import NEEDED_BIC, Data, compare, odds, supported
 from labhil.diagnose.refit import FINALISTS, confirm, refit, without
 from labhil.diagnose.screen import Progress, Screen, candidates
 from labhil.identify.fitted import Fitted, covariances
-from labhil.identify.intervals import quantile
-from labhil.identify.statistics import ALPHA
+from labhil.identify.statistics import nonzero
 from labhil.identify.waves import MOST
 from labhil.physics.model import index_of
 
@@ -25,6 +23,9 @@ RELEVANT, RELEVANT_BESIDE = 0.05, 0.5
 
 On precise recordings of real mechanisms there is always a further term that chance does not explain.
 """
+
+ON_THE_WAY = 0.2
+"""Share of that with which a search goes on: a term shows its size when those in its place are gone."""
 
 LEAST = 25.0
 """Squares of noise that a term has to explain, whatever the noise is taken for: rounding is no noise."""
@@ -103,32 +104,28 @@ def _hopeful(
     return [groups[i] for i in np.argsort(promises)[::-1][:most] if promises[i] > wanted]
 
 
-def relevant(baseline: Fitted, before: Fitted, after: Fitted) -> bool:
-    """Whether a step explains enough of what the baseline leaves unexplained."""
+def relevant(baseline: Fitted, before: Fitted, after: Fitted, share: float = 1.0) -> bool:
+    """Whether a step explains enough, or a ``share`` of that, of what the baseline leaves unexplained."""
     at_first, left = (fitted.solution.cost - fitted.dof for fitted in (baseline, before))
-    needed = max(min(RELEVANT * at_first, RELEVANT_BESIDE * left), LEAST)
+    needed = max(share * min(RELEVANT * at_first, RELEVANT_BESIDE * left), LEAST)
     return before.solution.cost - after.solution.cost > needed
 
 
 def _significant(fitted: Fitted, term: str) -> bool:
-    """Whether a size of this term is told from zero; one with a shape is judged by its evidence alone.
+    """Whether the sizes of a term, all together, are told from zero; evidence alone judges one with a shape.
 
-    Both waves of an order together, which was the best of many.
+    Each of two sizes may be tied to something else: the width of a dead zone is known where its middle is
+    not. Waves are the best of many orders.
     """
-    parameters = fitted.problem.model.terms[term].parameters
-    repeats = fitted.problem.model.terms[term].order is not None
-    if any(p.shape for p in parameters) and not repeats:
+    own = fitted.problem.model.terms[term]
+    if any(p.shape for p in own.parameters) and own.order is None:
         return True
     robust, _, _ = covariances(fitted)
     places = index_of(fitted.problem.model.parameters)
     free = fitted.problem.free.tolist()
-    sizes = [p.key for p in parameters if not p.shape]
-    own = [free.index(places[key]) for key in sizes if places[key] in free]
-    values, errors = fitted.theta[fitted.problem.free[own]], np.sqrt(np.diag(robust)[own])
-    if repeats:
-        square = float(values @ np.linalg.pinv(robust[np.ix_(own, own)], hermitian=True) @ values)
-        return square > float(chi2.isf(ALPHA / MOST, len(own)))
-    return bool(np.any(np.abs(values) > quantile() * errors))
+    sizes = [free.index(places[p.key]) for p in own.parameters if not p.shape and places[p.key] in free]
+    values = fitted.theta[fitted.problem.free[sizes]]
+    return nonzero(values, robust[np.ix_(sizes, sizes)], MOST if own.order else 1)
 
 
 def _without(data: Data, current: Fitted, term: str) -> Fitted:

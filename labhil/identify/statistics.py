@@ -118,6 +118,19 @@ def inverse_information(jacobian: FloatArray) -> FloatArray:
     return np.asarray((rows.T / singular**2) @ rows)
 
 
+def nonzero(values: FloatArray, covariance: FloatArray, looks: int = 1) -> bool:
+    """Whether values (k,), all together, are told from zero: Wald's test at 1 %.
+
+    They are the best of so many ``looks``. What nothing is known of (an infinite variance in ``covariance``,
+    (k, k)) says nothing.
+    """
+    known = np.flatnonzero(np.isfinite(np.diag(covariance)))
+    if not len(known):
+        return False
+    inverse = np.linalg.pinv(covariance[np.ix_(known, known)], hermitian=True)
+    return bool(values[known] @ inverse @ values[known] > stats.chi2.isf(ALPHA / looks, len(known)))
+
+
 def lagged(rows: FloatArray, lag: int, begins: Sequence[int] = (0,)) -> FloatArray:
     """Σ_t row_t·row_{t−lag}ᵀ of rows (n, P), both from the same recording, (P, P)."""
     parts = [rows[run] for run in runs(begins, len(rows))]

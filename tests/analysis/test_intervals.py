@@ -15,6 +15,7 @@ from labhil.identify.intervals import (
     quantile,
     simultaneous_quantile,
 )
+from labhil.identify.statistics import nonzero
 from labhil.physics.terms import Parameter
 
 N, P = 300, 3
@@ -100,3 +101,30 @@ def test_channels_that_free_a_direction_are_named():
     assert what_would_help(lacking, options).would_help == ("current",)
     whole = Identifiability(3, 3, (), ())
     assert what_would_help(whole, options) is whole
+
+
+def test_two_sizes_are_told_from_zero_together_where_only_their_sum_is_known():
+    """A dead zone's width, where its middle is tied to a constant force."""
+    tied = np.array([[22.0, -21.9], [-21.9, 22.0]])
+    assert nonzero(np.array([6.0, 5.9]), tied)
+    assert not any(nonzero(np.array([size]), np.array([[22.0]])) for size in (6.0, 5.9))
+    assert not nonzero(np.array([6.0, -5.9]), tied)
+
+
+def test_the_best_of_many_looks_must_stand_out_further():
+    values, covariance = np.array([3.0, 1.0]), np.eye(2)
+    assert nonzero(values, covariance)
+    assert not nonzero(values, covariance, looks=150)
+
+
+def test_what_nothing_is_known_of_says_nothing():
+    assert not nonzero(np.array([6.0]), np.array([[np.inf]]))
+    assert nonzero(np.array([6.0, 6.0]), np.diag([np.inf, 1.0]))
+
+
+def test_as_often_as_promised_nothing_is_told_from_zero():
+    random = np.random.default_rng(3)
+    covariance = np.array([[2.0, -1.0], [-1.0, 1.0]])
+    draws = random.multivariate_normal(np.zeros(2), covariance, 4000)
+    alarms = sum(nonzero(each, covariance) for each in draws)
+    assert stats.binomtest(alarms, len(draws), 0.01).pvalue > 1e-3

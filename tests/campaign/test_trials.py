@@ -128,7 +128,12 @@ def test_a_seal_hangs_on_its_nonce():
 
 @pytest.mark.parametrize(
     ("changed", "error"),
-    [({"kind": "balloon"}, UnknownNameError), ({"trials": 0}, UsageError), ({"sort": "4"}, UsageError)],
+    [
+        ({"kind": "balloon"}, UnknownNameError),
+        ({"trials": 0}, UsageError),
+        ({"first": 0}, UsageError),
+        ({"sort": "4"}, UsageError),
+    ],
 )
 def test_a_wrong_order_is_refused(tmp_path, changed, error):
     given = {"kind": "axis", "trials": 1, "sort": "1", "out": tmp_path / "a", "answers": tmp_path / "b"}
@@ -151,6 +156,8 @@ def test_making_goes_on_where_it_was_interrupted(tmp_path):
     assert [listed.name for listed in both.trials] == ["001", "002"]
     assert both.trials[0] == first.trials[0]
     assert not (out / "002" / "search.mcap.part").exists()
+    later = make_trials(Order("axis", 1, "0", tmp_path / "c", tmp_path / "d", 4, first=2), 1, silent)
+    assert later.trials == both.trials[1:]
     with pytest.raises(UsageError, match="found 2 of axis"):
         make_trials(order, 1, silent)
     with pytest.raises(UsageError, match="drawn from randomness"):

@@ -24,7 +24,7 @@ Progress = Callable[[str], None]
 class Plan:
     """A benchmark of one rig: so many nulls and so many trials with effects, in folders below ``out``.
 
-    ``seed`` None draws from the system's randomness; ``method`` answers.
+    ``seed`` None draws from the system's randomness, and the ``first`` has that number; ``method`` answers.
     """
 
     kind: str
@@ -33,6 +33,7 @@ class Plan:
     seed: int | None = None
     method: str = DIAGNOSE
     jobs: int = 1
+    first: int = 1
 
 
 def run_trial_benchmark(plan: Plan, progress: Progress) -> Card:
@@ -44,7 +45,7 @@ def run_trial_benchmark(plan: Plan, progress: Progress) -> Card:
     for number, (name, sort) in enumerate(SETS.items()):
         folder = plan.out / name
         seed = None if plan.seed is None else 2 * plan.seed + number
-        order = Order(plan.kind, plan.trials, sort, folder, answers_beside(folder), seed, resume=True)
+        order = Order(plan.kind, plan.trials, sort, folder, answers_beside(folder), seed, True, plan.first)
         say = partial(_tell, progress, name)
         make_trials(order, plan.jobs, say)
         run_trials(folder, plan.jobs, say, plan.method)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import secrets
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +31,7 @@ class Order:
     """What is asked for: a kind of rig, how many trials of which sort, and where they go.
 
     ``seed`` None draws from the system's randomness; with ``resume`` trials of the same order that are there
-    stay.
+    stay. The ``first`` has that number: of a seed whose earlier trials somebody has looked at.
     """
 
     kind: str
@@ -41,6 +41,14 @@ class Order:
     answers: Path
     seed: int | None = None
     resume: bool = False
+    first: int = 1
+
+    @property
+    def names(self) -> dict[str, int]:
+        """The trials' names, with the number that each is drawn by."""
+        numbers = range(self.first, self.first + self.trials)
+        width = max(3, len(str(numbers[-1])))
+        return {f"{number:0{width}d}": number - 1 for number in numbers}
 
 
 def answers_beside(folder: Path) -> Path:
@@ -57,13 +65,12 @@ def make_trials(order: Order, jobs: int, progress: Progress) -> Index:
     order.out.mkdir(parents=True, exist_ok=True)
     order.answers.mkdir(parents=True, exist_ok=True)
     (order.out / RIG).write_text(bench.rig, encoding="utf-8")
-    width = max(3, len(str(order.trials)))
-    names = [f"{i:0{width}d}" for i in range(1, order.trials + 1)]
+    names = order.names
     done = _made(order, names)
     with ProcessPoolExecutor(jobs) as executor:
         futures = [
             executor.submit(make_trial, order, name, _entropy(order.seed, i))
-            for i, name in enumerate(names)
+            for name, i in names.items()
             if name not in done
         ]
         try:
@@ -78,21 +85,22 @@ def make_trials(order: Order, jobs: int, progress: Progress) -> Index:
     return _index(order, names, done)
 
 
-def _index(order: Order, names: Sequence[str], done: Mapping[str, Listed]) -> Index:
+def _index(order: Order, names: Collection[str], done: Mapping[str, Listed]) -> Index:
     """The trials that are there, in the order of their names."""
     return Index(order.kind, order.seed is not None, tuple(done[name] for name in names if name in done))
 
 
-def _made(order: Order, names: Sequence[str]) -> dict[str, Listed]:
+def _made(order: Order, names: Collection[str]) -> dict[str, Listed]:
     """Trials that are there already; what an interruption left half is taken away."""
     if not (order.resume and (order.out / INDEX).exists()):
         return {}
     index = read_index(order.out)
     done = {listed.name: listed for listed in index.trials}
     if (index.rig, index.fixed_seed) != (order.kind, order.seed is not None) or not set(done) <= set(names):
+        source = "a fixed seed" if order.seed is not None else "randomness"
         raise UsageError(
-            f"{order.out}: expected at most {order.trials} trials of {order.kind}, drawn from "
-            f"{'a fixed seed' if order.seed is not None else 'randomness'}, found {len(done)} of {index.rig}"
+            f"{order.out}: expected at most {order.trials} trials of {order.kind}, the first of them "
+            f"{order.first}, drawn from {source}, found {len(done)} of {index.rig}"
         )
     for name in names:
         if name not in done:
@@ -114,6 +122,8 @@ def make_trial(order: Order, name: str, entropy: tuple[int, ...]) -> Listed:
 def _checked(order: Order, jobs: int) -> Bench:
     if order.trials < 1:
         raise UsageError(f"--trials: expected at least 1, found {order.trials}")
+    if order.first < 1:
+        raise UsageError(f"--first: expected at least 1, found {order.first}")
     if jobs < 1:
         raise UsageError(f"--jobs: expected at least 1, found {jobs}")
     refuse_unknown_sort(order.sort)
