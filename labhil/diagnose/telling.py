@@ -15,7 +15,8 @@ from labhil.diagnose.credence import credence, share
 from labhil.diagnose.found import Found, Rival, Step
 from labhil.diagnose.judge import Data
 from labhil.diagnose.unmodelled import Unmodelled
-from labhil.identify.fitted import Fitted
+from labhil.identify.fitted import Fitted, covariances
+from labhil.identify.intervals import quantile
 from labhil.identify.score import Score
 from labhil.identify.statistics import Estimate
 from labhil.physics.model import Model, Record, index_of
@@ -44,12 +45,33 @@ def missing(
     return Missing(
         term=term.name,
         joint=term.joint,
-        statement=f"The model leaves out {term.statement}{at}: {sizes}.",
+        statement=f"The model leaves out {term.statement}{at}: {sizes}.{_together(found.final, rows)}",
         equation=term.equation,
         probability=credence(step.evidence, excess, claims) * share(0.0, rivals),
         parameters=rows,
         evidence=step.evidence,
     )
+
+
+def _together(fitted: Fitted, rows: Sequence[Estimate]) -> str:
+    """The sum or difference of two sizes where only that is known: how wide a dead zone is, not where."""
+    if len(rows) != 2 or rows[0].unit != rows[1].unit or any(row.significant for row in rows):
+        return ""
+    keys = [fitted.problem.model.parameters[place].key for place in fitted.problem.free]
+    if any(row.key not in keys for row in rows):
+        return ""
+    robust, _, _ = covariances(fitted)
+    own = [keys.index(row.key) for row in rows]
+    name, value, error = sum_or_difference(np.array([row.value for row in rows]), robust[np.ix_(own, own)])
+    return f" Only their {name} is known: {value:.4g} ± {quantile() * error:.2g} {rows[0].unit} (99 %)."
+
+
+def sum_or_difference(values: FloatArray, covariance: FloatArray) -> tuple[str, float, float]:
+    """Which of both is known better of two ``values``: its name, itself and its standard error."""
+    ways = {"sum": np.array([1.0, 1.0]), "difference": np.array([1.0, -1.0])}
+    variances = {name: float(signs @ covariance @ signs) for name, signs in ways.items()}
+    name = min(variances, key=lambda way: variances[way])
+    return name, float(ways[name] @ values), float(np.sqrt(max(variances[name], 0.0)))
 
 
 def _short(row: Estimate) -> str:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from labhil.diagnose.telling import sum_or_difference
 from labhil.errors import UnknownNameError
 from labhil.identify.identifiability import Identifiability, identifiability, weak_parameters, what_would_help
 from labhil.identify.intervals import (
@@ -109,6 +110,17 @@ def test_two_sizes_are_told_from_zero_together_where_only_their_sum_is_known():
     assert nonzero(np.array([6.0, 5.9]), tied)
     assert not any(nonzero(np.array([size]), np.array([[22.0]])) for size in (6.0, 5.9))
     assert not nonzero(np.array([6.0, -5.9]), tied)
+
+
+def test_of_two_sizes_that_are_tied_what_is_known_better_is_said():
+    tied = np.array([[22.0, -21.9], [-21.9, 22.0]])
+    assert sum_or_difference(np.array([6.0, 5.9]), tied) == (
+        "sum",
+        pytest.approx(11.9),
+        pytest.approx(0.2**0.5),
+    )
+    name, value, _ = sum_or_difference(np.array([6.0, 5.5]), np.abs(tied))
+    assert (name, value) == ("difference", pytest.approx(0.5))
 
 
 def test_the_best_of_many_looks_must_stand_out_further():
