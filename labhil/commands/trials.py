@@ -35,6 +35,7 @@ def add_trials(app: typer.Typer) -> None:
         trial_benchmark
     )
     trial.command("compare", epilog="Example: labhil trial compare axis.json dc_motor.json")(trial_compare)
+    trial.command("calibrate", epilog="Example: labhil trial calibrate axis-trials/effects")(trial_calibrate)
     app.add_typer(trial, name="trial")
 
 
@@ -142,6 +143,25 @@ def trial_compare(
     from labhil.campaign.trials.compare import compared
 
     print(compared(cards))
+
+
+def trial_calibrate(
+    folders: Annotated[
+        list[Path], typer.Argument(metavar="DIR...", help="Folders of trials, run, with DIR-answers beside.")
+    ],
+) -> None:
+    """Fit how probable a claim is to trials whose answers are open: the weights of a stated probability.
+
+    Probabilities that were fitted to trials are to be scored on others.
+    """
+    from labhil.campaign.trials.calibrate import calibrated, claimed_in
+    from labhil.diagnose.credence import WEIGHTS
+
+    fitted = calibrated([claim for folder in folders for claim in claimed_in(folder)])
+    print(f"{fitted.claims} claims, {fitted.right} of them right")
+    names = ("a single claim, ΔBIC −100, nothing left", "ln (what is left)", "each further claim", "lg ΔBIC")
+    for name, weight, error, used in zip(names, fitted.weights, fitted.errors, WEIGHTS, strict=True):
+        print(f"{name:42} {weight:7.2f} ± {error:.2f}   in use: {used:.2f}")
 
 
 def _tell(card: Card, json_path: Path | None, plot_path: Path | None) -> None:

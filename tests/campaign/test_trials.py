@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 from labhil.campaign.share import Share
 from labhil.campaign.trials import run
 from labhil.campaign.trials.answer import Answer, TrueEffect
+from labhil.campaign.trials.calibrate import claimed_in
 from labhil.campaign.trials.card import count, reliabilities
 from labhil.campaign.trials.compose import compose
 from labhil.campaign.trials.folder import read_index
@@ -205,6 +206,7 @@ def test_a_run_goes_on_where_it_was_interrupted(listed_set, here):
     assert run_trials(folder, 1, silent) == first
     assert here == ["001", "002", "002"]
     assert score_trials(folder, answers, silent).false_alarms == Share(0, 2)
+    assert claimed_in(folder) == []
 
 
 def test_methods_answer_the_same_trials_beside_each_other(listed_set, here):

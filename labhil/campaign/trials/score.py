@@ -41,7 +41,7 @@ def judge_trials(
     """
     index, results = read_index(folder), Results(folder, method)
     _check_results(results, [listed.name for listed in index.trials])
-    truths = [_open(listed, answers) for listed in index.trials]
+    truths = [opened(listed, answers) for listed in index.trials]
     for listed in index.trials:
         _check_recordings(folder, listed)
     judged: list[Judged] = []
@@ -78,7 +78,8 @@ def _check_recordings(folder: Path, listed: Listed) -> None:
             raise UsageError(f"{path}: not the sealed recording: expected SHA-256 {expected}, found {found}")
 
 
-def _open(listed: Listed, answers: Path) -> Answer:
+def opened(listed: Listed, answers: Path) -> Answer:
+    """The answer in a trial's envelope; UsageError where it is not the sealed one."""
     path = answers / f"{listed.name}.json"
     answer = Answer.from_json(open_envelope(path, listed.seal))
     if answer.trial != listed.name or dict(answer.recordings) != dict(listed.recordings):

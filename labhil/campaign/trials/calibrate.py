@@ -1,0 +1,96 @@
+"""``labhil trial calibrate``: how probable a claim is, fitted to trials whose answers are open.
+
+A logistic regression of whether a claim was right on what a diagnosis knows of itself: see
+``labhil.diagnose.credence``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.special import expit
+
+from labhil.campaign.trials.answer import Answer
+from labhil.campaign.trials.folder import Results, read_index, read_object
+from labhil.campaign.trials.judge import NULL_GAIN, fits
+from labhil.campaign.trials.make import answers_beside
+from labhil.campaign.trials.said import SCHEMA, read_said
+from labhil.campaign.trials.score import opened
+from labhil.diagnose.credence import WEIGHTS, features
+from labhil.errors import UsageError
+from labhil.signals import FloatArray
+
+RIDGE = 0.1
+"""Of all weights but the constant: a few dozen claims that are all right would have it infinite."""
+
+SIMULATED = "windowed_simulation"
+
+
+@dataclass(frozen=True, slots=True)
+class Claimed:
+    """A claim by its features (4,), and whether it, or one of the rivals beside it, was right."""
+
+    features: FloatArray
+    right: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """Weights (4,) with their standard errors (4,), and how many claims they were fitted to."""
+
+    weights: FloatArray
+    errors: FloatArray
+    claims: int
+    right: int
+
+
+def claimed_in(folder: Path) -> list[Claimed]:
+    """All claims of the diagnoses in a folder of trials, whose answers lie beside it.
+
+    UsageError where results are missing, and of an arm, where only the evidence counts.
+    """
+    index, results = read_index(folder), Results(folder)
+    if index.rig == "ur5":
+        raise UsageError(f"{folder}: expected another rig, found an arm: of it only the evidence counts")
+    claims: list[Claimed] = []
+    for listed in index.trials:
+        claims += _claims(opened(listed, answers_beside(folder)), results.of(listed.name))
+    return claims
+
+
+def _claims(answer: Answer, path: Path) -> list[Claimed]:
+    said, stated = read_said(path), read_object(path, SCHEMA)
+    if not said.named:
+        return []
+    real = [effect for effect in answer.effects if effect.oracle_gain >= NULL_GAIN]
+    rows = [row for row in stated["improvement"]["per_channel"] if row["metric"] == SIMULATED]
+    excess = max((row["rmse_after"] / row["noise_floor"] for row in rows), default=1.0)
+    return [
+        Claimed(
+            features(entry["evidence"]["delta_bic"], excess, len(said.named)),
+            any(fits(effect, name) for effect in real for name in named.names),
+        )
+        for named, entry in zip(said.named, stated["missing"], strict=True)
+    ]
+
+
+def calibrated(claims: Sequence[Claimed]) -> Fitted:
+    """The weights that make what was right likeliest; UsageError where nothing was claimed."""
+    if not claims:
+        raise UsageError("expected trials in which something was named, found none")
+    table = np.array([claim.features for claim in claims])
+    signs = np.array([1.0 if claim.right else -1.0 for claim in claims])
+    ridge = RIDGE * np.r_[0.0, np.ones(len(WEIGHTS) - 1)]
+
+    def unlikely(weights: FloatArray) -> float:
+        return float(np.sum(np.logaddexp(0.0, -signs * (table @ weights))) + 0.5 * ridge @ weights**2)
+
+    weights = minimize(unlikely, np.array(WEIGHTS)).x
+    p = expit(table @ weights)
+    information = (table * (p * (1.0 - p))[:, None]).T @ table + np.diag(ridge + 1e-9)
+    errors = np.sqrt(np.diag(np.linalg.inv(information)))
+    return Fitted(weights, errors, len(claims), sum(claim.right for claim in claims))
