@@ -88,7 +88,7 @@ def run_demo(out: Path, seed: int | None, say: Say) -> None:
     show_diagnosis(result.diagnosis, console)
     stem = identify.with_suffix("")
     write_json(result.json, stem.with_suffix(".diagnosis.json"))
-    diagnosis_plot(result.diagnosis, material.judge, stem.with_suffix(".png"))
+    diagnosis_plot(result.diagnosis, stem.with_suffix(".png"))
     _open_envelope(answer_path(identify, "bench", several=False), seals[identify], result.diagnosis, console)
     console.print(
         f"\nDrawn: {stem.with_suffix('.png')}; all numbers: {stem.with_suffix('.diagnosis.json')}.\n"

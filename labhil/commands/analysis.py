@@ -171,7 +171,7 @@ def diagnose(
     if plot is not None:
         from labhil.report.plots import diagnosis_plot
 
-        diagnosis_plot(result.diagnosis, material.judge, plot)
+        diagnosis_plot(result.diagnosis, plot)
     if html is not None:
         from labhil.report.html.study import write_diagnosis_page
 

@@ -10,6 +10,7 @@ from labhil.diagnose.locate import Location
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score
 from labhil.identify.statistics import Estimate
+from labhil.physics.model import Record
 from labhil.signals import FloatArray
 
 
@@ -102,7 +103,7 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """The answer. ``data`` is "test" or "heldout"; scores are on data that the search never saw.
+    """The answer. ``data`` is "test" or "heldout"; scores are of ``held_out``, which the search never saw.
 
     ``faults`` are those of the data, whether or not they make them unfit. ``wider`` says that scores are on
     parts of what was held out, and that the parts between were searched; ``shorter`` are scores before and
@@ -124,6 +125,7 @@ class Diagnosis:
     undecided: tuple[Undecided, ...]
     excluded: tuple[Excluded, ...]
     data: str
+    held_out: Record
     before: Score
     after: Score
     final_terms: tuple[str, ...]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -119,6 +119,16 @@ def _level_set(size: FloatArray, held: FloatArray) -> np.ndarray:
     order = np.argsort(-size, kind="stable")
     enough = np.cumsum(held[order]) >= SHARE * held.sum()
     return np.asarray((size >= size[order[int(np.argmax(enough))]]) & (size > 0.0))
+
+
+def lived(
+    final: Fitted, terms: Sequence[str], seen: HeldOut
+) -> tuple[dict[str, Contribution], dict[str, tuple[Regime, ...]]]:
+    """What each of some found terms contributes to held-out data, and the regimes where it lives."""
+    shares = {term: contribution(final, term, seen.motion) for term in terms}
+    # where several explain the excess, none of it can be told to be of one of them
+    explained = seen.explained(next(iter(shares.values())).joint) if len(shares) == 1 else None
+    return shares, {term: share.regimes(explained) for term, share in shares.items()}
 
 
 def contribution(final: Fitted, term: str, motion: Motion | None = None) -> Contribution:

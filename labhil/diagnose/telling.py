@@ -144,7 +144,7 @@ def location(
         place = _beyond_location(found, before, after, held_out, curves[0])
     else:
         return None
-    return replace(place, statement=place.statement + WIDER) if wider else place
+    return replace(place, statement=place.statement + (WIDER if wider else locate.whose(before, after)))
 
 
 def _named_location(found: Found, before: Score, after: Score, held_out: Record) -> locate.Location:
@@ -152,10 +152,7 @@ def _named_location(found: Found, before: Score, after: Score, held_out: Record)
     strongest = model.terms[found.missing[0].terms[0]]
     seen = locate.HeldOut(held_out, before, after)
     terms = [step.terms[0] for step in found.missing]
-    shares = {term: locate.contribution(found.final, term, seen.motion) for term in terms}
-    # where several explain the excess, none of it can be told to be of one of them
-    explained = seen.explained(next(iter(shares.values())).joint) if len(shares) == 1 else None
-    regimes = {term: share.regimes(explained) for term, share in shares.items()}
+    _, regimes = locate.lived(found.final, terms, seen)
     channel, joint = _channel(before, after)
     times, recordings = locate.times(before, after, held_out)
     return locate.Location(
@@ -164,7 +161,7 @@ def _named_location(found: Found, before: Score, after: Score, held_out: Record)
         enters=strongest.enters.value,
         times=times,
         regimes=tuple(regime for found in regimes.values() for regime in found),
-        statement=locate.statement(keyed(channel, joint), strongest, regimes) + locate.whose(before, after),
+        statement=locate.statement(keyed(channel, joint), strongest, regimes),
         recordings=recordings,
     )
 
@@ -185,7 +182,6 @@ def _beyond_location(
         times=times,
         regimes=tuple(replace(regime, unit=beyond.x_unit) for regime in regimes),
         statement=f"What {keyed(channel, joint)} is off by enters by the {beyond.enters} and follows {name}."
-        + locate.whose(before, after)
         + _not_all(after),
         recordings=recordings,
     )

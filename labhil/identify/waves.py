@@ -15,6 +15,7 @@ import numpy as np
 from labhil.identify.fitted import Fitted
 from labhil.identify.problem import Point, Problem
 from labhil.identify.projection import Unexplained
+from labhil.identify.windows import converter_step
 from labhil.physics.model import index_of, starts_of, terms_named
 from labhil.physics.terms import TWO_WAVES, Parameter, Term
 from labhil.signals import FloatArray
@@ -24,6 +25,9 @@ TURN = 2.0
 
 SLOW = 0.5
 """Share of the samples that have to show an order: its phase turns by less than half a wave in between."""
+
+STEPS = 5.0
+"""Steps of its converter that a wave of a reading must span: rounding repeats with the step and is none."""
 
 MOST = 150
 """Orders that are tried at most, the lowest ones."""
@@ -118,13 +122,20 @@ class Scan:
         moved = np.abs(np.diff(self.way))[np.diff(windows.owner) == 0]
         if not moved.any():
             return np.empty(0)
-        high = np.pi / float(np.quantile(moved[moved > 0.0], SLOW))
+        high = min(np.pi / float(np.quantile(moved[moved > 0.0], SLOW)), self._finest())
         low = self._lowest()
         return np.arange(low, min(self.order.upper, high, low + MOST * step), step)
 
     def _lowest(self) -> float:
         """The lowest order of which the way has two waves."""
         return max(self.order.lower, TWO_WAVES / max(float(np.ptp(self.way)), 1e-12))
+
+    def _finest(self) -> float:
+        """The order whose waves span as few steps of the reading of this coordinate as may be."""
+        record = self.unexplained.fitted.problem.record
+        read = [j for j, name in enumerate(record.output_names) if name == self.order.waves_over]
+        steps = [converter_step(record.outputs[:, j]) for j in read]
+        return 2.0 * np.pi / (STEPS * max(*steps, 1e-300)) if steps else np.inf
 
     def _span(self) -> float:
         """The way that a window sees, the median."""

@@ -15,7 +15,7 @@ from labhil.identify.statistics import runs
 from labhil.physics.model import Record
 from labhil.physics.terms import keyed
 from labhil.report.figure import AFTER, MEASURED, figure_of, finish, save
-from labhil.report.plots import apart, broken, time_axis
+from labhil.report.plots import broken, time_axis
 from labhil.signals import FloatArray
 
 LAGS = 60
@@ -54,8 +54,7 @@ def _name(channel: ChannelScore) -> str:
 
 def _draw_simulation(axes: Axes, score: Score, channel: ChannelScore, j: int, record: Record) -> None:
     t, measured = record.t[score.rows], record.outputs[score.rows, j]
-    drawn = apart(record, score.rows, measured)
-    axes.plot(t, drawn, color=MEASURED, lw=2.5, alpha=0.5, label="measured")
+    axes.plot(t, broken(score, measured), color=MEASURED, lw=2.5, alpha=0.5, label="measured")
     simulated = broken(score, measured + score.errors[:, j])
     axes.plot(t, simulated, color=AFTER, lw=1.0, label=f"model, R² {100 * channel.r2:.2f} %")
     finish(axes, "Model and measurement", time_axis(axes, record), _name(channel))

@@ -14,24 +14,24 @@ from labhil.identify.score import Score
 from labhil.physics.model import Record
 from labhil.physics.terms import keyed
 from labhil.report.figure import AFTER, BEFORE, MEASURED, figure_of, finish, save
-from labhil.signals import FloatArray, IntArray
+from labhil.signals import FloatArray
 
 
-def diagnosis_plot(diagnosis: Diagnosis, held_out: Record, path: Path) -> None:
+def diagnosis_plot(diagnosis: Diagnosis, path: Path) -> None:
     """Write a page of four panels as PNG: simulation, errors, the missing effort, and errors as histogram.
 
     UsageError when the file cannot be written or its extension is no format of pictures.
     """
-    save(diagnosis_figure(diagnosis, held_out), path)
+    save(diagnosis_figure(diagnosis), path)
 
 
-def diagnosis_figure(diagnosis: Diagnosis, held_out: Record) -> Figure:
-    """The four panels as a figure; ``held_out`` is the record that the scores come from."""
+def diagnosis_figure(diagnosis: Diagnosis) -> Figure:
+    """The four panels as a figure."""
     figure = figure_of((11.0, 8.0))
     axes = figure.subplots(2, 2)
     j = _located(diagnosis)
-    _draw_windows(axes[0, 0], diagnosis, held_out, j)
-    _draw_errors(axes[0, 1], diagnosis, held_out, j)
+    _draw_windows(axes[0, 0], diagnosis, j)
+    _draw_errors(axes[0, 1], diagnosis, j)
     _draw_missing(axes[1, 0], diagnosis)
     _draw_histogram(axes[1, 1], diagnosis, j)
     return figure
@@ -51,16 +51,6 @@ def broken(score: Score, values: FloatArray) -> FloatArray:
     return np.asarray(np.where(np.r_[True, np.diff(score.window) > 0], np.nan, values))
 
 
-def apart(record: Record, rows: IntArray, values: FloatArray) -> FloatArray:
-    """Values (N,) of some rows of a record with a gap where one of several recordings begins."""
-    if len(record.begins) == 1:
-        return values
-    first = np.searchsorted(rows, [begin.row for begin in record.begins])
-    gaps = np.zeros(len(values), dtype=bool)
-    gaps[first[first < len(values)]] = True
-    return np.where(gaps, np.nan, values)
-
-
 def time_axis(axes: Axes, record: Record) -> str:
     """What a picture says of its time; borders between several recordings are drawn, with their numbers."""
     if len(record.begins) == 1:
@@ -72,20 +62,20 @@ def time_axis(axes: Axes, record: Record) -> str:
     return "t, s, one recording after another"
 
 
-def channel_figure(diagnosis: Diagnosis, held_out: Record, j: int) -> Figure:
+def channel_figure(diagnosis: Diagnosis, j: int) -> Figure:
     """Simulation and errors of output channel ``j`` as a figure: for rigs that have more than one."""
     figure = figure_of((11.0, 3.6))
     axes = figure.subplots(1, 2)
-    _draw_windows(axes[0], diagnosis, held_out, j)
-    _draw_errors(axes[1], diagnosis, held_out, j)
+    _draw_windows(axes[0], diagnosis, j)
+    _draw_errors(axes[1], diagnosis, j)
     return figure
 
 
-def _draw_windows(axes: Axes, diagnosis: Diagnosis, record: Record, j: int) -> None:
-    rows = diagnosis.after.rows
+def _draw_windows(axes: Axes, diagnosis: Diagnosis, j: int) -> None:
+    record, rows = diagnosis.held_out, diagnosis.after.rows
     t, measured = record.t[rows], record.outputs[rows, j]
     channel = diagnosis.after.channels[j]
-    axes.plot(t, apart(record, rows, measured), color=MEASURED, lw=2.5, alpha=0.5, label="measured")
+    axes.plot(t, broken(diagnosis.after, measured), color=MEASURED, lw=2.5, alpha=0.5, label="measured")
     for score, colour, label in _both(diagnosis, j):
         axes.plot(t, broken(score, measured + score.errors[:, j]), color=colour, lw=1.0, label=label)
     name = keyed(channel.channel, channel.joint)
@@ -93,7 +83,8 @@ def _draw_windows(axes: Axes, diagnosis: Diagnosis, record: Record, j: int) -> N
     finish(axes, title, time_axis(axes, record), f"{name}, {channel.unit}")
 
 
-def _draw_errors(axes: Axes, diagnosis: Diagnosis, record: Record, j: int) -> None:
+def _draw_errors(axes: Axes, diagnosis: Diagnosis, j: int) -> None:
+    record = diagnosis.held_out
     channel = diagnosis.after.channels[j]
     for score, colour, label in _both(diagnosis, j):
         axes.plot(record.t[score.rows], broken(score, score.errors[:, j]), color=colour, lw=1.0, label=label)
@@ -110,16 +101,14 @@ def _draw_missing(axes: Axes, diagnosis: Diagnosis) -> None:
     if diagnosis.curve is not None:
         _draw_curve(axes, diagnosis.curve)
         return
-    shares = {
-        key: locate.contribution(diagnosis.final_fit, key)
-        for key in (keyed(item.term, item.joint) for item in diagnosis.missing)
-    }
-    regimes = {term: share.regimes() for term, share in shares.items()}
+    seen = locate.HeldOut(diagnosis.held_out, diagnosis.before, diagnosis.after)
+    terms = [keyed(item.term, item.joint) for item in diagnosis.missing]
+    shares, regimes = locate.lived(diagnosis.final_fit, terms, seen)
     term = next((term for term, found in regimes.items() if found), next(iter(shares)))
     units = shares[term].units
     name = regimes[term][0].coordinate if regimes[term] else next(iter(units))
     for i, (key, share) in enumerate(shares.items()):
-        axes.scatter(share.coordinates[name], share.values, s=3, color=f"C{i}", alpha=0.4, lw=0, label=key)
+        axes.scatter(share.coordinates[name], share.values, s=6, color=f"C{i}", alpha=0.5, lw=0, label=key)
     for number, regime in enumerate(regimes[term]):
         label = f"where most of {term} lives" if number == 0 else None
         axes.axvspan(regime.low, regime.high, color=BEFORE, alpha=0.15, label=label)

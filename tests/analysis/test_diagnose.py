@@ -309,5 +309,8 @@ def test_what_only_the_held_out_recording_shows_is_looked_for_there(model, acqui
     assert found.after.rmse < 1.3 * found.after.noise_floor
     # every other quarter of the held-out recording is all that is judged on, and that is said
     assert len(found.after.recordings) == 2
+    assert len(found.held_out) == pytest.approx(0.5 * len(wide), rel=0.01)
+    shown = found.held_out.outputs[found.after.rows] + found.after.errors
+    assert np.corrcoef(shown[:, 0], found.held_out.outputs[found.after.rows, 0])[0, 1] > 0.99
     assert "does not tell it by itself" in found.location.statement
     assert diagnosis_json(found, SOURCES)["improvement"]["parts"] is True

@@ -158,7 +158,7 @@ def test_a_whole_diagnosis_tells_of_it(tmp_path: Path) -> None:
     stated = diagnosis_json(found, [])
     assert (stated["curve"]["joint"], stated["curve"]["depends_on"]) == (5, ["actual_q_5"])
     assert stated["further_curves"] == []
-    diagnosis_plot(found, test, tmp_path / "d.png")
+    diagnosis_plot(found, tmp_path / "d.png")
     assert (tmp_path / "d.png").stat().st_size > 0
 
 

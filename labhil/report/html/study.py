@@ -35,8 +35,8 @@ def write_diagnosis_page(result: DiagnosisResult, path: Path) -> None:
         "Windows simulated before and after, their errors over time with the noise floor, what the baseline "
         "leaves out over the coordinate where it lives, and how the errors are distributed."
     )
-    found, judge = result.diagnosis, result.material.judge
-    drawn = [album.picture(caption, lambda: diagnosis_figure(found, judge))]
+    found = result.diagnosis
+    drawn = [album.picture(caption, lambda: diagnosis_figure(found))]
     drawn += [_channel_picture(album, result, j) for j in range(1, len(found.after.channels))]
     diagnosis = checked(DiagnosisPart, result.json, "the diagnosis")
     write_page(diagnosis_page(diagnosis, _foot(diagnosis), album, drawn), path)
@@ -46,7 +46,7 @@ def _channel_picture(album: Album, result: DiagnosisResult, j: int) -> Markup:
     """Simulation and errors of one more channel."""
     channel = result.diagnosis.after.channels[j]
     caption = f"The same windows and their errors at {keyed(channel.channel, channel.joint)}."
-    return album.picture(caption, lambda: channel_figure(result.diagnosis, result.material.judge, j))
+    return album.picture(caption, lambda: channel_figure(result.diagnosis, j))
 
 
 def _foot(result: FitPart | DiagnosisPart) -> str:
