@@ -75,12 +75,8 @@ class Data:
         return tuple(score(self.model, theta, self.test, self.test_sigma, length) for length in lengths)
 
     def judge(self, theta: FloatArray) -> tuple[Left, ...]:
-        """What a vector leaves of held-out data: beginning in the state of a lead-in, and in the best of all.
-
-        An error of the state grows until it hides what acts slowly; the latter windows have none.
-        """
-        foretold = tuple(Left.of(each) for each in self.scores(theta))
-        return (*foretold, self.left(self.model, theta)) if self.model.state_names else foretold
+        """What a vector leaves of held-out data, on each of these cuts into windows."""
+        return tuple(Left.of(each) for each in self.scores(theta))
 
     def left(self, model: Model, theta: FloatArray) -> Left:
         """What a model held at ``theta`` leaves of the held-out data, on windows as long as the search's."""
