@@ -186,7 +186,7 @@ def _on_shorter_windows(data: Data, found: Found, before: Score, after: Score) -
     """
     if not found.missing or after.rmse < before.rmse or not data.model.state_names:
         return None
-    return data.scores(found.baseline.theta)[0], data.scores(found.final.theta)[0]
+    return data.judge(found.baseline.theta)[0], data.judge(found.final.theta)[0]
 
 
 def _accepted(model: Model, found: Found, curves: Sequence[Unmodelled]) -> tuple[Model, FloatArray]:

@@ -35,25 +35,13 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Left:
-    """Errors (N, c) that a model leaves of data it was not fitted to, as multiples of ``scale``.
+    """What a model leaves (N, c) of data in whose windows only states were fitted, in units of their noise.
 
-    ``scale`` is (c,), or (N, c) where recordings differ: noise, or what the model itself leaves where that is
-    more. ``owner`` (N,) numbers the windows, or blocks of samples; noise forgets itself at ``begins``.
+    Recordings begin at the rows ``begins``.
     """
 
-    errors: FloatArray
-    scale: FloatArray
-    owner: IntArray
-    begins: tuple[int, ...] = (0,)
-
-    @classmethod
-    def of(cls, found: Score) -> Left:
-        """Of simulated windows whose states are those of their lead-in."""
-        begins = np.flatnonzero(np.r_[True, np.diff(found.window) > 0])
-        owner = found.window
-        if found.metric is Metric.INVERSE_DYNAMICS:
-            owner = np.arange(len(owner)) * BLOCKS // len(owner)
-        return cls(found.errors, _scale(found), owner, tuple(begins.tolist()))
+    residuals: FloatArray
+    begins: tuple[int, ...]
 
 
 def effective_samples(fitted: Fitted, joint: int | None = None) -> float:
@@ -84,8 +72,8 @@ def bic(fitted: Fitted, effective: float, degrees: float | None = None, joint: i
 
 def unlikelier(before: Left, after: Left) -> float:
     """How much less likely data are after than before, −2 times the logarithm; no parameter was fitted."""
-    powers = [np.maximum(np.mean(each.errors**2, axis=0), 1e-300) for each in (before, after)]
-    return float(independent(before.errors, before.begins) * np.mean(np.log(powers[1] / powers[0])))
+    powers = [np.maximum(np.mean(each.residuals**2, axis=0), 1e-300) for each in (before, after)]
+    return float(independent(before.residuals, before.begins) * np.mean(np.log(powers[1] / powers[0])))
 
 
 def search_p_value(before: Fitted, after: Fitted, effective: float, looks: int) -> float:
@@ -107,22 +95,27 @@ def _log_power(fitted: Fitted, joint: int | None = None) -> float:
     return float(np.mean(np.log(np.maximum(powers, 1e-300))))
 
 
-def best_heldout_gain(before: Sequence[Left], after: Sequence[Left]) -> tuple[float, float]:
+def best_heldout_gain(before: Sequence[Score], after: Sequence[Score]) -> tuple[float, float]:
     """The clearest of the gains on several cuts into windows, its p value times their number."""
     gains = [heldout_gain(b, a) for b, a in zip(before, after, strict=True)]
     total, p_value = min(gains, key=lambda gain: gain[1])
     return total, min(1.0, len(gains) * p_value)
 
 
-def heldout_gain(before: Left, after: Left) -> tuple[float, float]:
+def heldout_gain(before: Score, after: Score) -> tuple[float, float]:
     """Log likelihood that a model gains on data it never saw, nats, and the p value that it gains at all.
 
     Nats count samples as independent as their neighbours let them be.
     """
-    errors_before, errors_after = before.errors / after.scale, after.errors / after.scale
+    scale = _scale(after)
+    errors_before, errors_after = before.errors / scale, after.errors / scale
+    begins = np.flatnonzero(np.r_[True, np.diff(after.window) > 0]).tolist()
+    owner = after.window
+    if after.metric is Metric.INVERSE_DYNAMICS:
+        owner = np.arange(len(errors_after)) * BLOCKS // len(errors_after)
     gain = float(np.sum(_student(errors_after) - _student(errors_before)))
-    worth = _independent_share(errors_after, after.begins)
-    return worth * gain, direction_p_value(errors_before, errors_after, after.owner, after.begins)
+    worth = _independent_share(errors_after, begins)
+    return worth * gain, direction_p_value(errors_before, errors_after, owner, begins)
 
 
 def direction_p_value(before: FloatArray, after: FloatArray, owner: IntArray, begins: Sequence[int]) -> float:

@@ -63,7 +63,7 @@ class Data:
     begin: FloatArray
     held: frozenset[str] = frozenset()
 
-    def scores(self, theta: FloatArray) -> tuple[Score, ...]:
+    def judge(self, theta: FloatArray) -> tuple[Score, ...]:
         """Scores on held-out windows: as long as can be counted, short ones, and as long as the metric's."""
         lengths: tuple[float | None, ...] = (None,)
         if self.model.state_names:
@@ -74,18 +74,12 @@ class Data:
             lengths = (*(share * length for share in JUDGED_SHARES), longest)
         return tuple(score(self.model, theta, self.test, self.test_sigma, length) for length in lengths)
 
-    def judge(self, theta: FloatArray) -> tuple[Left, ...]:
-        """What a vector leaves of held-out data, on each of these cuts into windows."""
-        return tuple(Left.of(each) for each in self.scores(theta))
-
     def left(self, model: Model, theta: FloatArray) -> Left:
         """What a model held at ``theta`` leaves of the held-out data, on windows as long as the search's."""
         length = min(self.window, self.test.longest)
         windows = fit_windows(self.test, length) if model.state_names else Windows.of(self.test.spans)
         found = held_at(model, theta, self.test, windows, self.test_sigma)
-        errors = found.residuals.reshape(-1, len(self.test_sigma))
-        scale = np.maximum(np.sqrt(np.mean(errors**2, axis=0)), 1.0)
-        return Left(errors, scale, windows.owner, begins_among(self.test, windows))
+        return Left(found.residuals.reshape(-1, len(self.test_sigma)), begins_among(self.test, windows))
 
 
 def odds(data: Data, before: Fitted, after: Fitted, left_before: Left) -> float:
@@ -99,11 +93,11 @@ def odds(data: Data, before: Fitted, after: Fitted, left_before: Left) -> float:
 
 
 def compare(
-    data: Data, before: Fitted, after: Fitted, before_left: Sequence[Left], looks: int
+    data: Data, before: Fitted, after: Fitted, scores_before: Sequence[Score], looks: int
 ) -> tuple[Evidence, float]:
     """Evidence for ``after`` over ``before``, and the search data's corrected p value."""
     effective = effective_samples(after)
-    gain, p_value = best_heldout_gain(before_left, data.judge(after.theta))
+    gain, p_value = best_heldout_gain(scores_before, data.judge(after.theta))
     delta = bic(after, effective) - bic(before, effective)
     return Evidence(delta, p_value, gain), search_p_value(before, after, effective, looks)
 

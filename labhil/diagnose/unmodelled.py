@@ -26,7 +26,7 @@ from labhil.diagnose.curve import (
     rows_beside,
     shortened,
 )
-from labhil.diagnose.evidence import Evidence, Left, bic, effective_samples, heldout_gain
+from labhil.diagnose.evidence import Evidence, bic, effective_samples, heldout_gain
 from labhil.diagnose.judge import TRUSTED, Data, supported
 from labhil.diagnose.rest import STANDS_IN
 from labhil.identify.extended import NAME, Coordinate, ExtendedModel
@@ -117,7 +117,7 @@ def unmodelled(data: Data, final: Fitted, part: MovedPart) -> Unmodelled | None:
     """
     model = final.problem.model
     assert isinstance(model, Yielding)
-    judged = data.scores(final.theta)[0]
+    judged = data.judge(final.theta)[0]
     if max(final.noise, judged.rmse / judged.noise_floor) < REACHED:
         return None
     chosen = _best(final, model, part)
@@ -208,7 +208,7 @@ def _evidence(data: Data, final: Fitted, before: Score, chosen: Curved) -> Evide
     joint = chosen.joint
     effective = effective_samples(chosen.fitted, joint)
     after = score(chosen.model, chosen.fitted.theta, data.test, data.test_sigma, before.horizon)
-    gain, p_value = heldout_gain(Left.of(before.of_joint(joint)), Left.of(after.of_joint(joint)))
+    gain, p_value = heldout_gain(before.of_joint(joint), after.of_joint(joint))
     return Evidence(criterion(chosen, effective) - bic(final, effective, joint=joint), p_value, gain)
 
 

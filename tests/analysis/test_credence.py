@@ -14,10 +14,6 @@ from labhil.identify.table import _wide_enough
 from labhil.physics.terms import Parameter
 
 
-def left(errors):
-    return Left(errors, np.ones(errors.shape[1]), np.arange(len(errors)) // 100)
-
-
 def evidence(delta_bic):
     return Evidence(delta_bic, 1e-6, 100.0)
 
@@ -51,9 +47,9 @@ def test_a_profile_that_ends_at_an_edge_reaches_as_far_as_curvature_says():
 
 def test_data_speak_by_as_many_samples_as_their_residuals_are_worth():
     white = np.random.default_rng(1).standard_normal((4000, 1))
-    before, after = left(white), left(1.1 * white)
+    before, after = Left(white, (0,)), Left(1.1 * white, (0,))
     assert unlikelier(before, after) == pytest.approx(4000 * 2.0 * np.log(1.1), rel=0.1)
-    lasting = left(np.repeat(white[::4], 4, axis=0))
-    louder = left(1.1 * lasting.errors)
+    lasting = Left(np.repeat(white[::4], 4, axis=0), (0,))
+    louder = Left(1.1 * lasting.residuals, (0,))
     assert 0.0 < unlikelier(lasting, louder) < 0.3 * unlikelier(before, after)
     assert unlikelier(after, before) < 0.0

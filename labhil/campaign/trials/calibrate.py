@@ -22,12 +22,11 @@ from labhil.campaign.trials.said import SCHEMA, read_said
 from labhil.campaign.trials.score import opened
 from labhil.diagnose.credence import WEIGHTS, features
 from labhil.errors import UsageError
+from labhil.physics.model import Metric
 from labhil.signals import FloatArray
 
 RIDGE = 0.1
 """Of all weights but the constant: a few dozen claims that are all right would have it infinite."""
-
-SIMULATED = "windowed_simulation"
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +66,11 @@ def _claims(answer: Answer, path: Path) -> list[Claimed]:
     if not said.named:
         return []
     real = [effect for effect in answer.effects if effect.oracle_gain >= NULL_GAIN]
-    rows = [row for row in stated["improvement"]["per_channel"] if row["metric"] == SIMULATED]
+    rows = [
+        row
+        for row in stated["improvement"]["per_channel"]
+        if row["metric"] == Metric.WINDOWED_SIMULATION.value
+    ]
     excess = max((row["rmse_after"] / row["noise_floor"] for row in rows), default=1.0)
     return [
         Claimed(
