@@ -28,6 +28,12 @@ SURELY, MISNAMED = 2.5, 1.5
 The floor of a few windows is not well known: each has only one error of its initial state.
 """
 
+OF_A_JOINT = 1.15
+"""What a joint leaves, in units of its noise, from which a force on it is looked for.
+
+That is a linear problem, which what the joint moves through poses thousands of times.
+"""
+
 DOUBTFUL = 1.05
 """The same from which on named forces are compared with a curve in their place."""
 
@@ -43,7 +49,7 @@ def beyond(data: Data, found: Found) -> tuple[Found, tuple[Unmodelled, ...]]:
     waiting = list(model.moved)
     while waiting:
         part, excess = _worst(data, found, curves, waiting)
-        if len(waiting) < len(model.moved) and excess < MISNAMED:
+        if excess < OF_A_JOINT:
             break
         found, curve = _of_part(data, found, curves, part)
         curves = curves if curve is None else (*curves, curve)

@@ -19,7 +19,7 @@ from labhil.diagnose.found import Found
 from labhil.diagnose.intake import Fault, faults_of, usable
 from labhil.diagnose.judge import NEEDED_BIC, Data
 from labhil.diagnose.load import with_load
-from labhil.diagnose.rest import left_by, unexplained
+from labhil.diagnose.rest import UNEXPLAINED, left_by, unexplained
 from labhil.diagnose.search import search
 from labhil.diagnose.unmodelled import Unmodelled
 from labhil.diagnose.wider import searched_and_kept
@@ -88,8 +88,11 @@ def diagnose(
     marked = partial(score, record=held_out, sigma=noise.sigma, horizon=horizon, lasts=noise.lasts)
     before = marked(model, base.theta)
     after = marked(model, found.final.theta) if found.missing else before
-    more = unexplained(data, left) or _excess(after) > (MISNAMED if found.missing else SURELY)
-    found, curves = beyond(data, found) if more else imitated(data, found, _excess(after))
+    more = _excess(after) > (MISNAMED if found.missing else SURELY)
+    # noise that lasts is not known so well from short windows that these alone could raise an alarm
+    more = more or (unexplained(data, left) and _excess(after) > UNEXPLAINED)
+    everywhere = more or model.metric is Metric.INVERSE_DYNAMICS
+    found, curves = beyond(data, found) if everywhere else imitated(data, found, _excess(after))
     after = marked(*_accepted(model, found, curves)) if more or curves else after
     excess, claims = _doubts(model, after, found, curves)
     final = curves[-1].rows if curves else _rows(found)

@@ -37,11 +37,28 @@ class Evidence:
 class Left:
     """What a model leaves (N, c) of data in whose windows only states were fitted, in units of their noise.
 
-    Recordings begin at the rows ``begins``.
+    Recordings begin at the rows ``begins``. ``price`` is what parameters that moved as far as they are not
+    known have cost, −2 times a logarithm of likelihood.
     """
 
     residuals: FloatArray
     begins: tuple[int, ...]
+    price: float = 0.0
+
+    @property
+    def worth(self) -> float:
+        """How many independent residuals they are worth."""
+        return independent(self.residuals, self.begins)
+
+    @property
+    def unlikely(self) -> float:
+        """−2 times the logarithm of their likelihood, up to a constant."""
+        return self.worth * self.log_power + self.price
+
+    @property
+    def log_power(self) -> float:
+        """Mean over the channels of the logarithm of the mean square."""
+        return _mean_log_power(self.residuals)
 
 
 def effective_samples(fitted: Fitted, joint: int | None = None) -> float:
@@ -71,9 +88,8 @@ def bic(fitted: Fitted, effective: float, degrees: float | None = None, joint: i
 
 
 def unlikelier(before: Left, after: Left) -> float:
-    """How much less likely data are after than before, −2 times the logarithm; no parameter was fitted."""
-    powers = [np.maximum(np.mean(each.residuals**2, axis=0), 1e-300) for each in (before, after)]
-    return float(independent(before.residuals, before.begins) * np.mean(np.log(powers[1] / powers[0])))
+    """How much less likely data are after than before, −2 times the logarithm."""
+    return before.worth * (after.log_power - before.log_power) + after.price - before.price
 
 
 def search_p_value(before: Fitted, after: Fitted, effective: float, looks: int) -> float:
@@ -90,9 +106,12 @@ def _channels(fitted: Fitted, joint: int | None = None) -> FloatArray:
 
 
 def _log_power(fitted: Fitted, joint: int | None = None) -> float:
+    return _mean_log_power(_channels(fitted, joint))
+
+
+def _mean_log_power(residuals: FloatArray) -> float:
     """Mean over the channels of the logarithm of their mean square: each has a noise level of its own."""
-    powers = np.mean(_channels(fitted, joint) ** 2, axis=0)
-    return float(np.mean(np.log(np.maximum(powers, 1e-300))))
+    return float(np.mean(np.log(np.maximum(np.mean(residuals**2, axis=0), 1e-300))))
 
 
 def best_heldout_gain(before: Sequence[Score], after: Sequence[Score]) -> tuple[float, float]:

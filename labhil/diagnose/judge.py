@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,13 +10,7 @@ from scipy import stats
 from labhil.diagnose.evidence import (
     Evidence,
     Left,
-    best_heldout_gain,
-    bic,
-    effective_samples,
-    search_p_value,
-    unlikelier,
 )
-from labhil.identify.fitted import Fitted
 from labhil.identify.problem import begins_among
 from labhil.identify.score import Score, score
 from labhil.identify.window_states import held_at
@@ -76,30 +69,16 @@ class Data:
 
     def left(self, model: Model, theta: FloatArray) -> Left:
         """What a model held at ``theta`` leaves of the held-out data, on windows as long as the search's."""
-        length = min(self.window, self.test.longest)
-        windows = fit_windows(self.test, length) if model.state_names else Windows.of(self.test.spans)
-        found = held_at(model, theta, self.test, windows, self.test_sigma)
+        windows = self.held_out_windows
+        found = held_at(model, theta, self.test, windows, self.test_sigma, thorough=True)
         return Left(found.residuals.reshape(-1, len(self.test_sigma)), begins_among(self.test, windows))
 
-
-def odds(data: Data, before: Fitted, after: Fitted, left_before: Left) -> float:
-    """−2 times the log odds of ``after``: BIC of the search data, and the likelihood of the held-out ones.
-
-    ``left_before`` is what ``before`` leaves of these.
-    """
-    effective = effective_samples(before)
-    seen = bic(after, effective) - bic(before, effective)
-    return seen + unlikelier(left_before, data.left(data.model, after.theta))
-
-
-def compare(
-    data: Data, before: Fitted, after: Fitted, scores_before: Sequence[Score], looks: int
-) -> tuple[Evidence, float]:
-    """Evidence for ``after`` over ``before``, and the search data's corrected p value."""
-    effective = effective_samples(after)
-    gain, p_value = best_heldout_gain(scores_before, data.judge(after.theta))
-    delta = bic(after, effective) - bic(before, effective)
-    return Evidence(delta, p_value, gain), search_p_value(before, after, effective, looks)
+    @property
+    def held_out_windows(self) -> Windows:
+        """Windows of the held-out data as long as the search's."""
+        if not self.model.state_names:
+            return Windows.of(self.test.spans)
+        return fit_windows(self.test, min(self.window, self.test.longest))
 
 
 def supported(evidence: Evidence, p_search: float) -> bool:

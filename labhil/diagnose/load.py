@@ -15,8 +15,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from labhil.diagnose.accepted import Accepted
+from labhil.diagnose.foretold import compare
 from labhil.diagnose.found import Found, Step
-from labhil.diagnose.judge import Data, compare, supported
+from labhil.diagnose.judge import Data, supported
 from labhil.diagnose.refit import refit
 from labhil.identify.fitted import Fitted, covariances
 from labhil.physics.model import Model, index_of

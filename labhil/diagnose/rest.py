@@ -35,7 +35,7 @@ def left_over(model: Model, theta: FloatArray, record: Record, noise: Noise, len
     """RMS (c,) of what a model leaves of each output, in units of its noise, windows ``length`` s long."""
     whole = model.metric is Metric.INVERSE_DYNAMICS
     windows = Windows.of(record.spans) if whole else fit_windows(record, length)
-    found = held_at(model, theta, record, windows, noise.sigma)
+    found = held_at(model, theta, record, windows, noise.sigma, thorough=True)
     squares = found.residuals.reshape(-1, len(noise.sigma)) ** 2
     return np.asarray(np.sqrt(squares.mean(axis=0) / (1.0 - found.states.size / squares.size)))
 

@@ -13,8 +13,9 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 from labhil.diagnose.evidence import effective_samples, search_p_value
+from labhil.diagnose.foretold import compare
 from labhil.diagnose.found import Found, Trail
-from labhil.diagnose.judge import Data, compare, supported
+from labhil.diagnose.judge import Data, supported
 from labhil.diagnose.refit import confirm, finish_best, refit
 from labhil.diagnose.screen import Candidate, Progress, candidates, rank
 from labhil.diagnose.weigh import ON_THE_WAY, pruned, relevant, supported_only, swapped

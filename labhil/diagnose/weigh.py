@@ -9,11 +9,13 @@ from dataclasses import replace
 import numpy as np
 
 from labhil.diagnose.evidence import bic, effective_samples
+from labhil.diagnose.foretold import compare, foretold, odds
 from labhil.diagnose.found import Rival, Step, Trail
-from labhil.diagnose.judge import NEEDED_BIC, Data, compare, odds, supported
+from labhil.diagnose.judge import NEEDED_BIC, Data, supported
 from labhil.diagnose.refit import FINALISTS, confirm, refit, without
 from labhil.diagnose.screen import Progress, Screen, candidates
 from labhil.identify.fitted import Fitted, covariances
+from labhil.identify.score import Score
 from labhil.identify.statistics import nonzero
 from labhil.identify.waves import MOST
 from labhil.physics.model import index_of
@@ -64,9 +66,11 @@ def swapped(
             continue
         names = [*(trial.terms[-1] for trial in narrowed), *(group[-1] for group in groups)]
         progress(f"weighing {', '.join(names)} instead of {term}")
-        left = data.left(data.model, current.theta)
+        left, effective = foretold(data, current), effective_samples(current)
         others = confirm(data, reduced, groups, executor, HOPELESS * current.solution.cost, current)
         for trial in [*narrowed, *others[:FINALISTS]]:
+            if bic(trial, effective) >= bic(reduced, effective):
+                continue  # what is no better than nothing is no rival, whatever held-out data say of both
             rival, delta = trial.terms[-1], odds(data, current, trial, left)
             if delta < 0.0 and trail.may_go(trial):
                 rivals.append(Rival(term, rival, -delta))
@@ -115,6 +119,27 @@ def relevant(baseline: Fitted, before: Fitted, after: Fitted, share: float = 1.0
     at_first, left = (fitted.solution.cost - fitted.dof for fitted in (baseline, before))
     needed = max(share * min(RELEVANT * at_first, RELEVANT_BESIDE * left), LEAST)
     return before.solution.cost - after.solution.cost > needed
+
+
+def _worth_telling(data: Data, baseline: Fitted, before: Fitted, after: Fitted) -> bool:
+    """Whether a step explains enough of the searched data, or a little of these and enough of the others."""
+    return relevant(baseline, before, after) or (
+        relevant(baseline, before, after, ON_THE_WAY) and _shown(data, baseline, before, after)
+    )
+
+
+def _shown(data: Data, baseline: Fitted, before: Fitted, after: Fitted) -> bool:
+    """Whether a step explains enough of what the baseline leaves of the held-out data, as the metric has it.
+
+    What acts rarely may hardly act in the recording that was searched.
+    """
+    at_first, left, rest = (_squares(data.judge(fitted.theta)[-1]) for fitted in (baseline, before, after))
+    return left - rest > RELEVANT * (at_first - 1.0)
+
+
+def _squares(marks: Score) -> float:
+    """Mean over the outputs of the squared error over that of noise."""
+    return float(np.mean([(channel.rmse / channel.noise_floor) ** 2 for channel in marks.channels]))
 
 
 def _significant(fitted: Fitted, term: str) -> bool:
@@ -189,6 +214,6 @@ def _steps_of(data: Data, baseline: Fitted, final: Fitted, looks: int) -> tuple[
         reduced = _without(data, final, term)
         evidence, p_search = compare(data, reduced, final, data.judge(reduced.theta), looks)
         alone = data.model.terms[term].order is None or evidence.p_value < REPEATS
-        told = alone and relevant(baseline, reduced, final) and _significant(final, term)
+        told = alone and _worth_telling(data, baseline, reduced, final) and _significant(final, term)
         kept.append(Step((term,), evidence, p_search, told))
     return tuple(sorted(kept, key=lambda step: step.evidence.delta_bic))

@@ -19,6 +19,9 @@ POLISH = 1
 OUTLYING = 2.0
 """Windows that cost this many times the median are looked at again."""
 
+MORE_THAN_NOISE = 1.44
+"""Squared residuals, in those of noise, from which a window of a few hundred samples leaves more."""
+
 OTHER_VELOCITIES = (-0.8, -0.4, -0.2, 0.2, 0.4, 0.8)
 """Where they begin anew, in scales of the state beside the measured velocity."""
 
@@ -114,18 +117,31 @@ def rescued_states(problem: Problem, z: FloatArray, found: States) -> States:
     parameters.
     """
     costs = found.costs(problem) / _rows_of_windows(problem)
-    bad = np.flatnonzero(costs > OUTLYING * np.median(costs))
+    return _from_other_velocities(problem, z, found, np.flatnonzero(costs > OUTLYING * np.median(costs)))
+
+
+def _from_other_velocities(problem: Problem, z: FloatArray, found: States, which: IntArray) -> States:
+    """The better, in some windows, of what was found and what other velocities lead to."""
     moving = _velocities(problem)
-    if not len(bad) or not moving.any():
+    if not len(which) or not moving.any():
         return found
-    part = problem.of_windows(bad)
-    rows = np.isin(problem.owner, bad)
-    best = States(found.states[bad], found.residuals[rows])
+    part = problem.of_windows(which)
+    best = _of_windows(problem, found, which)
     for offset in OTHER_VELOCITIES:
         begin = part.guess + offset * problem.model.state_scale * moving
         best = best.or_better(part, _damped_states(part, z, tried(part, z, begin), 6))
+    return _with_windows(problem, found, which, best)
+
+
+def _of_windows(problem: Problem, found: States, which: IntArray) -> States:
+    """What was found of some windows."""
+    return States(found.states[which], found.residuals[np.isin(problem.owner, which)])
+
+
+def _with_windows(problem: Problem, found: States, which: IntArray, other: States) -> States:
+    """What was found, with that of some windows put in its place."""
     states, residuals = found.states.copy(), found.residuals.copy()
-    states[bad], residuals[rows] = best.states, best.residuals
+    states[which], residuals[np.isin(problem.owner, which)] = other.states, other.residuals
     return States(states, residuals)
 
 
@@ -134,11 +150,39 @@ def rescue_states(problem: Problem, z: FloatArray, states: FloatArray) -> FloatA
     return rescued_states(problem, z, tried(problem, z, states)).states
 
 
-def held_at(model: Model, theta: FloatArray, record: Record, windows: Windows, sigma: FloatArray) -> States:
-    """A model held at ``theta`` on windows of a record, each beginning in the state that fits it best."""
+def held_at(
+    model: Model,
+    theta: FloatArray,
+    record: Record,
+    windows: Windows,
+    sigma: FloatArray,
+    *,
+    thorough: bool = False,
+) -> States:
+    """A model held at ``theta`` on windows of a record, each beginning in the state that fits it best.
+
+    A ``thorough`` search looks again at windows that leave more than noise, all of them if need be.
+    """
     problem = Problem(model, record, windows, np.empty(0, dtype=np.int64), theta, sigma)
     none = np.empty(0)
-    return rescued_states(problem, none, tried(problem, none, fit_states(problem, none, problem.guess)))
+    found = rescued_states(problem, none, tried(problem, none, fit_states(problem, none, problem.guess)))
+    return _searched(problem, none, found) if thorough and model.state_names else found
+
+
+def _searched(problem: Problem, z: FloatArray, found: States) -> States:
+    """Other states of the windows that leave more than noise: from other velocities, then from anywhere."""
+    found = _from_other_velocities(problem, z, found, _noisy(problem, found))
+    bad = _noisy(problem, found)
+    if not len(bad):
+        return found
+    part = problem.of_windows(bad)
+    states = search_states(part, z, found.states[bad], np.random.default_rng(0))
+    return _with_windows(problem, found, bad, tried(part, z, states))
+
+
+def _noisy(problem: Problem, found: States) -> IntArray:
+    """Windows that leave more than noise."""
+    return np.flatnonzero(found.costs(problem) > MORE_THAN_NOISE * _rows_of_windows(problem))
 
 
 def _damped_states(

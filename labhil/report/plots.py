@@ -108,11 +108,16 @@ def _draw_missing(axes: Axes, diagnosis: Diagnosis) -> None:
     units = shares[term].units
     name = regimes[term][0].coordinate if regimes[term] else next(iter(units))
     for i, (key, share) in enumerate(shares.items()):
-        axes.scatter(share.coordinates[name], share.values, s=6, color=f"C{i}", alpha=0.5, lw=0, label=key)
+        # several are in several units and sizes: each over its own largest value
+        largest = float(np.max(np.abs(share.values))) if len(shares) > 1 else 1.0
+        label = f"{key}, up to {largest:.3g}" if len(shares) > 1 else key
+        values = share.values / max(largest, 1e-300)
+        axes.scatter(share.coordinates[name], values, s=6, color=f"C{i}", alpha=0.5, lw=0, label=label)
     for number, regime in enumerate(regimes[term]):
         label = f"where most of {term} lives" if number == 0 else None
         axes.axvspan(regime.low, regime.high, color=BEFORE, alpha=0.15, label=label)
-    finish(axes, "What the baseline leaves out", f"{name}, {units[name]}", "missing effect, where it acts")
+    effort = "missing effects, over their largest" if len(shares) > 1 else "missing effect, where it acts"
+    finish(axes, "What the baseline leaves out", f"{name}, {units[name]}", effort)
 
 
 def _draw_curve(axes: Axes, curve: Curve) -> None:
