@@ -48,6 +48,9 @@ HOPELESS = 3.0
 RIVAL_BIC = 10.0
 """A rival within this stays on the list: it is under five nats behind."""
 
+FAR_BEHIND = 50.0
+"""A rival that the searched data put this far behind needs no other data."""
+
 
 def swapped(
     data: Data, trail: Trail, base: frozenset[str], executor: Executor, progress: Progress, *, widely: bool
@@ -69,8 +72,9 @@ def swapped(
         left, effective = foretold(data, current), effective_samples(current)
         others = confirm(data, reduced, groups, executor, HOPELESS * current.solution.cost, current)
         for trial in [*narrowed, *others[:FINALISTS]]:
-            if bic(trial, effective) >= bic(reduced, effective):
-                continue  # what is no better than nothing is no rival, whatever held-out data say of both
+            seen = bic(trial, effective)
+            if seen >= min(bic(reduced, effective), bic(current, effective) + FAR_BEHIND):
+                continue  # no better than nothing, or far behind: no rival, whatever held-out data say
             rival, delta = trial.terms[-1], odds(data, current, trial, left)
             if delta < 0.0 and trail.may_go(trial):
                 rivals.append(Rival(term, rival, -delta))
