@@ -41,7 +41,8 @@ DOUBTFUL = 1.05
 def beyond(data: Data, found: Found) -> tuple[Found, tuple[Unmodelled, ...]]:
     """Forces that no named term explains, and what was found without the terms that they make needless.
 
-    The joints of an arm have their turns by what is left of them, each beside the curves of those before it.
+    The joints of an arm have their turns by what is left of them, each beside the curves of those before it,
+    until little is left or the worst of what is little more than noise has none.
     """
     model, curves = data.model, tuple[Unmodelled, ...]()
     if not isinstance(model, Yielding):
@@ -52,6 +53,8 @@ def beyond(data: Data, found: Found) -> tuple[Found, tuple[Unmodelled, ...]]:
         if excess < OF_A_JOINT:
             break
         found, curve = _of_part(data, found, curves, part)
+        if curve is None and excess < MISNAMED:
+            break
         curves = curves if curve is None else (*curves, curve)
         waiting.remove(part)
     return found, curves
