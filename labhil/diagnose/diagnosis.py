@@ -91,8 +91,8 @@ def diagnose(
     more = _excess(after) > (MISNAMED if found.missing else SURELY)
     # noise that lasts is not known so well from short windows that these alone could raise an alarm
     more = more or (unexplained(data, left) and _excess(after) > UNEXPLAINED)
-    everywhere = more or model.metric is Metric.INVERSE_DYNAMICS
-    found, curves = beyond(data, found) if everywhere else imitated(data, found, _excess(after))
+    look_beyond = more or model.metric is Metric.INVERSE_DYNAMICS
+    found, curves = beyond(data, found) if look_beyond else imitated(data, found, _excess(after))
     after = marked(*_accepted(model, found, curves)) if more or curves else after
     excess, claims = _doubts(model, after, found, curves)
     final = curves[-1].rows if curves else _rows(found)

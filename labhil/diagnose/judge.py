@@ -7,10 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from labhil.diagnose.evidence import (
-    Evidence,
-    Left,
-)
+from labhil.diagnose.evidence import Evidence, Left
 from labhil.identify.problem import begins_among
 from labhil.identify.score import Score, score
 from labhil.identify.window_states import held_at
