@@ -110,9 +110,9 @@ def _draw_missing(axes: Axes, diagnosis: Diagnosis) -> None:
     for i, (key, share) in enumerate(shares.items()):
         # several are in several units and sizes: each over its own largest value
         largest = float(np.max(np.abs(share.values))) if len(shares) > 1 else 1.0
-        label = f"{key}, up to {largest:.3g}" if len(shares) > 1 else key
+        told = f"{key}, up to {largest:.3g}" if len(shares) > 1 else key
         values = share.values / max(largest, 1e-300)
-        axes.scatter(share.coordinates[name], values, s=6, color=f"C{i}", alpha=0.5, lw=0, label=label)
+        axes.scatter(share.coordinates[name], values, s=6, color=f"C{i}", alpha=0.5, lw=0, label=told)
     for number, regime in enumerate(regimes[term]):
         label = f"where most of {term} lives" if number == 0 else None
         axes.axvspan(regime.low, regime.high, color=BEFORE, alpha=0.15, label=label)
