@@ -92,6 +92,8 @@ def diagnose(
     # noise that lasts is not known so well from short windows that these alone could raise an alarm
     more = more or (unexplained(data, left) and _excess(after) > UNEXPLAINED)
     look_beyond = more or model.metric is Metric.INVERSE_DYNAMICS
+    if more:
+        progress("a force over each coordinate in turn, for no named effect explains the rest")
     found, curves = beyond(data, found) if look_beyond else imitated(data, found, _excess(after))
     after = marked(*_accepted(model, found, curves)) if more or curves else after
     excess, claims = _doubts(model, after, found, curves)
