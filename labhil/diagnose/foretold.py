@@ -56,12 +56,13 @@ def compare(
 ) -> tuple[Evidence, float]:
     """Evidence for ``after`` over ``before``, and the search data's corrected p value.
 
-    Where the scores of a fit that is held do not tell, the likelihood that the searched data allow may.
+    Where scores of fits that are held are better, but do not tell, the likelihood that the searched data allow
+    may: a term that only makes up for another's form is likelier there, too, and foretells nothing.
     """
     effective = effective_samples(after)
     gain, p_value = best_heldout_gain(scores_before, data.judge(after.theta))
     delta = bic(after, effective) - bic(before, effective)
-    if delta < NEEDED_BIC and p_value >= ALPHA and data.model.state_names:
+    if delta < NEEDED_BIC and gain > 0.0 and p_value >= ALPHA and data.model.state_names:
         likelier = -0.5 * unlikelier(foretold(data, before), foretold(data, after))
         if np.exp(-likelier / CAUTION) < p_value:
             gain, p_value = likelier, float(np.exp(-likelier / CAUTION))

@@ -15,7 +15,6 @@ from labhil.diagnose.judge import NEEDED_BIC, Data, supported
 from labhil.diagnose.refit import FINALISTS, confirm, refit, without
 from labhil.diagnose.screen import Progress, Screen, candidates
 from labhil.identify.fitted import Fitted, covariances
-from labhil.identify.score import Score
 from labhil.identify.statistics import nonzero
 from labhil.identify.waves import MOST
 from labhil.physics.model import index_of
@@ -133,17 +132,14 @@ def _worth_telling(data: Data, baseline: Fitted, before: Fitted, after: Fitted) 
 
 
 def _shown(data: Data, baseline: Fitted, before: Fitted, after: Fitted) -> bool:
-    """Whether a step explains enough of what the baseline leaves of the held-out data, as the metric has it.
+    """Whether a step explains enough of what the baseline leaves of the held-out data.
 
     What acts rarely may hardly act in the recording that was searched.
     """
-    at_first, left, rest = (_squares(data.judge(fitted.theta)[-1]) for fitted in (baseline, before, after))
+    at_first, left, rest = (
+        float(np.mean(foretold(data, fitted).residuals ** 2)) for fitted in (baseline, before, after)
+    )
     return left - rest > RELEVANT * (at_first - 1.0)
-
-
-def _squares(marks: Score) -> float:
-    """Mean over the outputs of the squared error over that of noise."""
-    return float(np.mean([(channel.rmse / channel.noise_floor) ** 2 for channel in marks.channels]))
 
 
 def _significant(fitted: Fitted, term: str) -> bool:

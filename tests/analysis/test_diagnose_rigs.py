@@ -105,7 +105,7 @@ def test_what_others_build_on_is_not_told_where_it_is_hardly_there():
     found = diagnosed(
         "dc_motor",
         ("stribeck_friction",),
-        {"stribeck_friction.level": 0.1, "stribeck_friction.velocity": 3.0},
+        {"stribeck_friction.level": 0.1, "stribeck_friction.velocity": 1.0},
     )
     assert [item.term for item in found.missing] == ["stribeck_friction"]
     assert "coulomb_friction" in found.final_terms
