@@ -56,8 +56,8 @@ def compare(
 ) -> tuple[Evidence, float]:
     """Evidence for ``after`` over ``before``, and the search data's corrected p value.
 
-    Where scores of fits that are held are better, but do not tell, the likelihood that the searched data allow
-    may: a term that only makes up for another's form is likelier there, too, and foretells nothing.
+    Where the scores of a fit that is held are better, but not for sure, the likelihood that the searched data
+    allow may tell; a term that only makes up for another's form is likelier there, too, but foretells nothing.
     """
     effective = effective_samples(after)
     gain, p_value = best_heldout_gain(scores_before, data.judge(after.theta))
