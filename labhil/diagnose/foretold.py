@@ -57,7 +57,7 @@ def compare(
     """Evidence for ``after`` over ``before``, and the search data's corrected p value.
 
     Where the scores of a fit that is held are better, but not for sure, the likelihood that the searched data
-    allow may tell; a term that only makes up for another's form is likelier there, too, but foretells nothing.
+    allow may tell; a term that makes up for another's form is likelier there, too, but foretells nothing.
     """
     effective = effective_samples(after)
     gain, p_value = best_heldout_gain(scores_before, data.judge(after.theta))
