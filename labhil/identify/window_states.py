@@ -164,9 +164,16 @@ def held_at(
     A ``thorough`` search looks again at windows that leave more than noise, all of them if need be.
     """
     problem = Problem(model, record, windows, np.empty(0, dtype=np.int64), theta, sigma)
-    none = np.empty(0)
-    found = rescued_states(problem, none, tried(problem, none, fit_states(problem, none, problem.guess)))
-    return _searched(problem, none, found) if thorough and model.state_names else found
+    return settled_states(problem, np.empty(0), thorough=thorough)
+
+
+def settled_states(problem: Problem, z: FloatArray, *, thorough: bool = True) -> States:
+    """Every window's best initial state from its guess on, with the parameters held.
+
+    ``thorough`` as in :func:`held_at`.
+    """
+    found = rescued_states(problem, z, tried(problem, z, fit_states(problem, z, problem.guess)))
+    return _searched(problem, z, found) if thorough and problem.model.state_names else found
 
 
 def _searched(problem: Problem, z: FloatArray, found: States) -> States:

@@ -12,7 +12,7 @@ from labhil.campaign.trials.noise import LeftNoise, TrueNoise
 from labhil.identify.fitted import climb, start_theta
 from labhil.identify.problem import Point, Problem
 from labhil.identify.score import Score, score
-from labhil.identify.window_states import fit_states
+from labhil.identify.window_states import settled_states
 from labhil.identify.windows import all_of, fit_windows
 from labhil.physics.model import Model, Record, Windows, terms_named
 from labhil.signals import FloatArray, IntArray
@@ -199,8 +199,8 @@ def _whitening(windows: Windows, noise: LeftNoise) -> Whiten:
 def _settled(problem: Problem, whiten: Whiten) -> tuple[FloatArray, Point]:
     """White residuals (N·c,) with each window's state where its likelihood is highest (Gauss-Newton)."""
     none = np.empty(0)
-    point = Point(none, fit_states(problem, none, problem.guess))
-    residuals = problem.residuals(point)
+    found = settled_states(problem, none)
+    point, residuals = Point(none, found.states), found.residuals
     white = whiten(residuals[:, None])[:, 0]
     if not problem.model.state_names:
         return white, point
