@@ -18,6 +18,7 @@ from labhil.bus.keys import stream_key
 from labhil.codec import Codec
 from labhil.errors import RecordingError, RecordingFailedError
 from labhil.recording import read_recording
+from labhil.recording.writer import FLUSH_INTERVAL
 from labhil.service.recorder import Recorder
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -214,8 +215,11 @@ def test_a_killed_recorder_leaves_what_it_flushed(bus, tmp_path):
         ) as recorder,
     ):
         assert bench.stdout.readline() == "ready\n"
+        due = float("inf")
         for line in recorder.stdout:
             if int(line) > 1000:
+                due = min(due, time.monotonic() + 3.0 * FLUSH_INTERVAL)
+            if time.monotonic() > due:
                 break
         recorder.kill()
         bench.kill()
