@@ -88,9 +88,7 @@ def diagnose(
     marked = partial(score, record=held_out, sigma=noise.sigma, horizon=horizon, lasts=noise.lasts)
     before = marked(model, base.theta)
     after = marked(model, found.final.theta) if found.missing else before
-    more = _excess(after) > (MISNAMED if found.missing else SURELY)
-    # noise that lasts is not known so well from short windows that these alone could raise an alarm
-    more = more or (unexplained(data, left) and _excess(after) > UNEXPLAINED)
+    more = _leaves_more(data, found, left, _excess(after))
     look_beyond = more or model.metric is Metric.INVERSE_DYNAMICS
     if more:
         progress("a force over each coordinate in turn, for no named effect explains the rest")
@@ -268,6 +266,15 @@ def _verdict(
     if unexplained:
         return "unexplained_mismatch"
     return "parameter_change" if changed else "no_mismatch"
+
+
+def _leaves_more(data: Data, found: Found, left: FloatArray, excess: float) -> bool:
+    """Whether more than noise is left: by the metric alone, or by windows that know their states and it.
+
+    Noise that lasts is not known so well from short windows that these alone could raise an alarm.
+    """
+    alone = MISNAMED if found.missing else SURELY
+    return excess > alone or (unexplained(data, left) and excess > UNEXPLAINED)
 
 
 def _excess(marks: Score) -> float:

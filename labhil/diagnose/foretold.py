@@ -41,16 +41,6 @@ STEPS, OF_STATES = 3, 4
 """Steps of the parameters, and of the windows' states after each of them."""
 
 
-def odds(data: Data, before: Fitted, after: Fitted, left_before: Left) -> float:
-    """−2 times the log odds of ``after``: BIC of the search data, and the likelihood of the held-out ones.
-
-    ``left_before`` is what ``before`` leaves of these.
-    """
-    effective = effective_samples(before)
-    seen = bic(after, effective) - bic(before, effective)
-    return seen + unlikelier(left_before, foretold(data, after))
-
-
 def compare(
     data: Data, before: Fitted, after: Fitted, scores_before: Sequence[Score], looks: int
 ) -> tuple[Evidence, float]:

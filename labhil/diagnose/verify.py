@@ -23,7 +23,7 @@ from labhil.identify.least_squares import least_squares
 from labhil.identify.problem import Point, Problem
 from labhil.identify.score import Score, score
 from labhil.identify.sensitivities import sensitivities
-from labhil.identify.window_states import fit_states, rescue_states
+from labhil.identify.window_states import settled_states
 from labhil.identify.windows import fit_windows, noise_of
 from labhil.physics.model import Metric, Model, Record
 from labhil.physics.terms import keyed
@@ -169,7 +169,7 @@ def _fitted(
     free = free_of(model, accepted.terms)
     whole = Problem(model, record, windows, free, theta, sigma)
     z = whole.start().z
-    states = rescue_states(whole, z, fit_states(whole, z, whole.guess))
+    states = settled_states(whole, z, thorough=False).states
     residuals = whole.residuals(Point(z, states))
     noise = float(np.sqrt(np.mean(residuals**2)))
     slopes = sensitivities(whole, Point(z, states), residuals, noise) / whole.scale

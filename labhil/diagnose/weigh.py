@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from labhil.diagnose.evidence import bic, effective_samples
-from labhil.diagnose.foretold import compare, foretold, odds
+from labhil.diagnose.evidence import bic, effective_samples, unlikelier
+from labhil.diagnose.foretold import compare, foretold
 from labhil.diagnose.found import Rival, Step, Trail
 from labhil.diagnose.judge import NEEDED_BIC, Data, supported
 from labhil.diagnose.refit import FINALISTS, confirm, refit, without
@@ -69,12 +69,14 @@ def swapped(
         names = [*(trial.terms[-1] for trial in narrowed), *(group[-1] for group in groups)]
         progress(f"weighing {', '.join(names)} instead of {term}")
         left, effective = foretold(data, current), effective_samples(current)
+        known = bic(current, effective)
+        worst = min(bic(reduced, effective) - known, FAR_BEHIND)
         others = confirm(data, reduced, groups, executor, HOPELESS * current.solution.cost, current)
         for trial in [*narrowed, *others[:FINALISTS]]:
-            seen = bic(trial, effective)
-            if seen >= min(bic(reduced, effective), bic(current, effective) + FAR_BEHIND):
+            seen = bic(trial, effective) - known
+            if seen >= worst:
                 continue  # no better than nothing, or far behind: no rival, whatever held-out data say
-            rival, delta = trial.terms[-1], odds(data, current, trial, left)
+            rival, delta = trial.terms[-1], seen + unlikelier(left, foretold(data, trial))
             if delta < 0.0 and trail.may_go(trial):
                 rivals.append(Rival(term, rival, -delta))
                 current = trial

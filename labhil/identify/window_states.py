@@ -145,11 +145,6 @@ def _with_windows(problem: Problem, found: States, which: IntArray, other: State
     return States(states, residuals)
 
 
-def rescue_states(problem: Problem, z: FloatArray, states: FloatArray) -> FloatArray:
-    """:func:`rescued_states` of states (W, S) alone."""
-    return rescued_states(problem, z, tried(problem, z, states)).states
-
-
 def held_at(
     model: Model,
     theta: FloatArray,
