@@ -10,11 +10,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from labhil.diagnose.evidence import bic, effective_samples, unlikelier
+from labhil.diagnose.curve import criterion
+from labhil.diagnose.evidence import Left, bic, effective_samples, unlikelier
+from labhil.diagnose.foretold import foretold
 from labhil.diagnose.found import Found, Step
 from labhil.diagnose.judge import NEEDED_BIC, Data
 from labhil.diagnose.refit import refit, without
-from labhil.diagnose.rest import left_by, stands_in, unexplained
+from labhil.diagnose.rest import UNEXPLAINED, left_by, stands_in, unexplained
 from labhil.diagnose.unmodelled import Unmodelled, unmodelled
 from labhil.identify.fitted import Fitted
 from labhil.identify.kept_curve import under
@@ -34,13 +36,14 @@ OF_A_JOINT = 1.15
 That is a linear problem, which what the joint moves through poses thousands of times.
 """
 
-DOUBTFUL = 1.05
-"""The same from which on named forces are compared with a curve in their place."""
+DOUBTFUL, NOTHING_NAMED = 1.05, 1.15
+"""The same from which on named forces are compared with a curve in their place, or no force with one."""
 
 
-def beyond(data: Data, found: Found) -> tuple[Found, tuple[Unmodelled, ...]]:
+def beyond(data: Data, found: Found, excess: float) -> tuple[Found, tuple[Unmodelled, ...]]:
     """Forces that no named term explains, and what was found without the terms that they make needless.
 
+    ``excess`` is the worst output's over its noise floor, by the metric.
     The joints of an arm have their turns by what is left of them, each beside the curves of those before it,
     until little is left or the worst of what is little more than noise has none.
     """
@@ -49,11 +52,11 @@ def beyond(data: Data, found: Found) -> tuple[Found, tuple[Unmodelled, ...]]:
         return found, ()
     waiting = list(model.moved)
     while waiting:
-        part, excess = _worst(data, found, curves, waiting)
-        if excess < OF_A_JOINT:
+        part, most = _worst(data, found, curves, waiting)
+        if most < OF_A_JOINT:
             break
-        found, curve = _of_part(data, found, curves, part)
-        if curve is None and excess < MISNAMED:
+        found, curve = _of_part(data, found, curves, part, excess)
+        if curve is None and most < MISNAMED:
             break
         curves = curves if curve is None else (*curves, curve)
         waiting.remove(part)
@@ -78,7 +81,7 @@ def _worst(
 
 
 def _of_part(
-    data: Data, found: Found, curves: Sequence[Unmodelled], part: MovedPart
+    data: Data, found: Found, curves: Sequence[Unmodelled], part: MovedPart, excess: float
 ) -> tuple[Found, Unmodelled | None]:
     """The force on one part, and what was found without the terms there that it makes needless.
 
@@ -90,57 +93,81 @@ def _of_part(
     if not doubtful:
         return found, beside
     if beside is None:
-        return (found, None) if part.joint is not None else _instead(data, found, part)
+        return (found, None) if part.joint is not None else _instead(data, found, part, excess)
     simpler = _less(data, found, doubtful)
     alone = _curve(data, simpler.final, curves, part)
     if alone is None:
         return found, beside
-    effective = effective_samples(beside.fit, part.joint)
-    marks = [bic(each.fit, effective, each.degrees, part.joint) for each in (alone, beside)]
-    return (found, beside) if marks[0] > marks[1] else (simpler, alone)
+    # what is named beside a curve needs as strong evidence as without one, of as many candidates
+    needed = 2.0 * len(doubtful) * np.log(found.looks) - NEEDED_BIC
+    behind = _behind(data, alone, beside)
+    return (simpler, alone) if behind < needed else (found, beside)
 
 
 def imitated(data: Data, found: Found, excess: float) -> tuple[Found, tuple[Unmodelled, ...]]:
-    """What was found, or a curve where named forces only imitate that.
+    """What was found, or a curve where named forces only imitate that, or where nothing was found.
 
-    It is looked for where the worst output of a single part is off by ``excess`` times its noise floor, and
-    where there are several such forces.
+    It is looked for where the worst output of a single part is off by ``excess`` times its noise floor, more
+    where nothing was found, and where there are several such forces.
     """
     model = data.model
     forces = _forces(model, found)
-    doubtful = excess >= DOUBTFUL or len(forces) > 1
-    if not forces or not doubtful or not isinstance(model, Yielding) or len(model.moved) > 1:
+    doubtful = excess >= (DOUBTFUL if found.missing else NOTHING_NAMED) or len(forces) > 1
+    if (found.missing and not forces) or not doubtful:
         return found, ()
-    found, curve = _or_curve(data, found, model.moved[0])
+    if not isinstance(model, Yielding) or len(model.moved) > 1:
+        return found, ()
+    found, curve = _or_curve(data, found, model.moved[0], excess)
     return found, (() if curve is None else (curve,))
 
 
-def _instead(data: Data, found: Found, part: MovedPart) -> tuple[Found, Unmodelled | None]:
+def _instead(data: Data, found: Found, part: MovedPart, excess: float) -> tuple[Found, Unmodelled | None]:
     """A curve in the place of named terms, or nothing where these only stood in for something else."""
-    found, curve = _or_curve(data, found, part)
+    found, curve = _or_curve(data, found, part, excess)
     replaced = curve is not None or not stands_in(found.baseline, found.final)
     if not replaced and unexplained(data, left_by(data, found.final)):
         return _less(data, found, found.missing), None
     return found, curve
 
 
-def _or_curve(data: Data, found: Found, part: MovedPart) -> tuple[Found, Unmodelled | None]:
+def _or_curve(data: Data, found: Found, part: MovedPart, excess: float) -> tuple[Found, Unmodelled | None]:
     """What was found, or a curve alone where that has very strong evidence over the named terms.
 
-    Over several named forces it needs no more than that it is likelier, each of them chosen among as many
-    (the extended BIC): that a rig has them all is less likely than that it has one which they imitate.
+    Over one that leaves an ``excess`` of more than noise, and over several forces, it needs no more than that
+    it is likelier, each of these chosen among as many (the extended BIC): that a rig has them all is less
+    likely than that it has one which they imitate.
     """
     simpler = _less(data, found, found.missing)
     alone = _curve(data, simpler.final, (), part)
     if alone is None:
         return found, None
-    effective = effective_samples(alone.fit)
-    seen = bic(alone.fit, effective, alone.degrees) - bic(found.final, effective)
-    held = unlikelier(data.left(data.model, found.final.theta), data.left(alone.model, alone.fit.theta))
     named = len(_forces(data.model, found))
     chance = 2.0 * max(named - 1, 0) * np.log(found.looks)
-    needed = NEEDED_BIC if named < 2 else 0.0
-    return (simpler, alone) if seen + held - chance < needed else (found, None)
+    needed = NEEDED_BIC if named < 2 and excess < UNEXPLAINED else 0.0
+    behind = _behind(data, alone, _settled(data, found.final))
+    return (simpler, alone) if behind - chance < needed else (found, None)
+
+
+def _behind(data: Data, alone: Unmodelled, named: Fitted | Unmodelled) -> float:
+    """−2 times the log odds of a curve against named terms, by themselves or beside another one.
+
+    Of an arm by the searched data alone, and by the joint's own output.
+    """
+    effective = effective_samples(alone.fit, alone.joint)
+    seen = criterion(alone.curved, effective)
+    if isinstance(named, Unmodelled):
+        seen -= criterion(named.curved, effective)
+    else:
+        seen -= bic(named, effective, joint=alone.joint)
+    if not data.model.state_names:
+        return seen
+    return seen + unlikelier(_foretold(data, named), _foretold(data, alone))
+
+
+def _foretold(data: Data, each: Fitted | Unmodelled) -> Left:
+    if isinstance(each, Unmodelled):
+        return foretold(data, each.fit, each.curved.penalty)
+    return foretold(data, each)
 
 
 def _forces(model: Model, found: Found) -> list[Step]:
@@ -163,9 +190,17 @@ def _less(data: Data, found: Found, steps: Sequence[Step]) -> Found:
 def _curve(data: Data, final: Fitted, curves: Sequence[Unmodelled], part: MovedPart) -> Unmodelled | None:
     """A force beside a fit, judged on windows as long as those of that fit."""
     data, final = _beside(data, final, curves)
+    return unmodelled(_on_windows_of(data, final), final, part)
+
+
+def _on_windows_of(data: Data, final: Fitted) -> Data:
     rows = final.problem.windows
-    length = float(data.search.t[rows.last[0] - 1] - data.search.t[rows.first[0]])
-    return unmodelled(replace(data, window=length), final, part)
+    return replace(data, window=float(data.search.t[rows.last[0] - 1] - data.search.t[rows.first[0]]))
+
+
+def _settled(data: Data, final: Fitted) -> Fitted:
+    """The same terms where windows have looked for better states, as those under a curve do."""
+    return refit(_on_windows_of(data, final), final, final.terms, (), thorough=True)
 
 
 def _beside(data: Data, final: Fitted, curves: Sequence[Unmodelled]) -> tuple[Data, Fitted]:

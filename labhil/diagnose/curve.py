@@ -200,8 +200,19 @@ def minimised(curved: Curved, start: Point | None, iterations: int) -> Curved:
 
 
 def criterion(curved: Curved, effective: float) -> float:
-    """Schwarz's criterion with the effective degrees of freedom of the smoothed curve."""
-    return bic(curved.fitted, effective, curved.degrees, curved.joint)
+    """Schwarz's criterion with effective degrees of freedom, at the smoothness that makes it least.
+
+    Windows left out in turn hardly tell one smoothness from the next, which degrees of freedom do; one linear
+    step leads from one to the other.
+    """
+    joint, fitted = curved.joint, curved.fitted
+    marks = [bic(fitted, effective, curved.degrees, joint)]
+    for weight in SMOOTHING:
+        penalty = _penalty(curved.near, curved.model, weight)
+        residuals = curved.near.left(curved.near.solve(penalty))
+        stepped = replace(fitted, solution=replace(fitted.solution, residuals=residuals))
+        marks.append(bic(stepped, effective, curved.near.degrees(penalty), joint))
+    return min(marks)
 
 
 @dataclass(frozen=True, slots=True)

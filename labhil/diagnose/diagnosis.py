@@ -92,7 +92,7 @@ def diagnose(
     look_beyond = more or model.metric is Metric.INVERSE_DYNAMICS
     if more:
         progress("a force over each coordinate in turn, for no named effect explains the rest")
-    found, curves = beyond(data, found) if look_beyond else imitated(data, found, _excess(after))
+    found, curves = (beyond if look_beyond else imitated)(data, found, _excess(after))
     after = marked(*_accepted(model, found, curves)) if more or curves else after
     excess, claims = _doubts(model, after, found, curves)
     final = curves[-1].rows if curves else _rows(found)

@@ -59,14 +59,18 @@ def compare(
     return Evidence(delta, p_value, gain), search_p_value(before, after, effective, looks)
 
 
-def foretold(data: Data, fitted: Fitted) -> Left:
-    """What a fit leaves of the held-out data, on windows as long as the search's, and at what price."""
+def foretold(data: Data, fitted: Fitted, penalty: FloatArray | None = None) -> Left:
+    """What a fit leaves of the held-out data, on windows as long as the search's, and at what price.
+
+    A ``penalty`` (P, P) of the fit, of curves, says beforehand what its parameters may be, too.
+    """
     model, windows, solved = fitted.problem.model, data.held_out_windows, fitted.solution
     held = held_at(model, fitted.theta, data.test, windows, data.test_sigma, thorough=True)
     problem = Problem(model, data.test, windows, fitted.problem.free, fitted.theta, data.test_sigma)
     seen = _Slopes.of(fitted.problem, solved.point.z, States(solved.point.states, solved.residuals))
     begin = problem.start().z
     known, slopes = np.eye(len(begin)) + seen.information, _Slopes.of(problem, begin, held)
+    known = known if penalty is None else known + seen.worth * penalty
     spread = np.linalg.slogdet(known + slopes.information)[1] - np.linalg.slogdet(known)[1]
     best = _left(problem, held, spread)
     z = begin
@@ -83,10 +87,14 @@ def foretold(data: Data, fitted: Fitted) -> Left:
 
 @dataclass(frozen=True, slots=True)
 class _Slopes:
-    """Half the slopes (P,) and curvatures (P, P) of −2 log likelihood by the parameters in their scales."""
+    """Half the slopes (P,) and curvatures (P, P) of −2 log likelihood by the parameters in their scales.
+
+    ``worth`` is what of it a square in units of the noise counts.
+    """
 
     gradient: FloatArray
     information: FloatArray
+    worth: float
 
     @classmethod
     def of(cls, problem: Problem, z: FloatArray, held: States) -> _Slopes:
@@ -95,7 +103,7 @@ class _Slopes:
         slopes = problem.project(lin, lin.by_parameters)
         rows = held.residuals.reshape(-1, len(problem.sigma))
         worth = independent(rows, problem.begins) / max(held.cost, 1e-300)
-        return cls(worth * slopes.T @ held.residuals, worth * slopes.T @ slopes)
+        return cls(worth * slopes.T @ held.residuals, worth * slopes.T @ slopes, worth)
 
 
 def _left(problem: Problem, held: States, price: float) -> Left:

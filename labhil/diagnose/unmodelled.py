@@ -19,7 +19,6 @@ from labhil.diagnose.curve import (
     glance,
     handed_over,
     in_blocks,
-    length_of,
     lengthened,
     minimised,
     refined,
@@ -34,7 +33,6 @@ from labhil.identify.fitted import Fitted
 from labhil.identify.kept_curve import KeptCurve
 from labhil.identify.score import Score, score, scored_horizon
 from labhil.identify.statistics import Estimate
-from labhil.identify.windows import fit_windows
 from labhil.physics.extra_force import MovedPart, Over, Yielding
 from labhil.physics.model import unit_of
 from labhil.signals import FloatArray
@@ -54,8 +52,11 @@ FINISHED = 25
 MODERATE = 2.0
 """Errors, in units of the noise, up to which one linear step tells coordinates apart."""
 
-SHORTER = (0.5, 0.25, 0.125)
-"""Lengths of windows, over those of the fit, by way of which a strong effect is approached."""
+PROMISED = 1.2
+"""Errors over those that a glance promised up to which the simulation has kept the promise."""
+
+HALVINGS = 3
+"""Times that windows are cut in half, by way of which a strong effect is approached."""
 
 WAYS: Mapping[Over, str] = {
     Over.POSITION_AGAINST: "dry friction",
@@ -74,10 +75,9 @@ class Unmodelled:
     ``depends_on`` are the coordinates; the curve has the values ``value`` (m,) in ``unit`` at the places
     ``x`` (m,) of the first of them, with a pointwise 99 % band ``low`` … ``high``. By ``acts`` it is a force
     along the positive direction, or the level of a friction (−value·sgn v), or a damping (−value·v).
-    ``model`` and ``fit`` have it in them; ``before`` and ``after`` are held-out scores; ``share`` is what of
+    ``before`` and ``after`` are held-out scores; ``share`` is what of
     the mismatch it explains there, (mse_before − mse_after)/(mse_before − floor²), of its joint where it has
-    one. ``degrees`` are the effective degrees of freedom of the whole fit, ``rows`` the model's own
-    parameters in it.
+    one. ``curved`` is the fit behind it, ``rows`` the model's own parameters in it.
     """
 
     term: str
@@ -94,13 +94,21 @@ class Unmodelled:
     formula: str | None
     statement: str
     evidence: Evidence
-    model: ExtendedModel
-    fit: Fitted
+    curved: Curved
     before: Score
     after: Score
     share: float
-    degrees: float
     rows: list[Estimate]
+
+    @property
+    def model(self) -> ExtendedModel:
+        """The model with the curve in it."""
+        return self.curved.model
+
+    @property
+    def fit(self) -> Fitted:
+        """That model's fit."""
+        return self.curved.fitted
 
     @property
     def kept(self) -> KeptCurve:
@@ -112,8 +120,8 @@ class Unmodelled:
 def unmodelled(data: Data, final: Fitted, part: MovedPart) -> Unmodelled | None:
     """The force on ``part`` over one coordinate that brings a fitted model closest to the data, or None.
 
-    It has to be supported by the search data and by the held-out ones, and on a joint has to explain half of
-    what these show there, or it only stands in for something else. The model must take a force.
+    It has to be supported by the search data and by the held-out ones, and has to explain half of what these
+    show, or it only stands in for something else. The model must take a force.
     """
     model = final.problem.model
     assert isinstance(model, Yielding)
@@ -127,7 +135,7 @@ def unmodelled(data: Data, final: Fitted, part: MovedPart) -> Unmodelled | None:
     if not supported(evidence, TRUSTED):
         return None
     found = _answer(data, final, chosen, evidence)
-    return None if part.joint is not None and found.share < STANDS_IN else found
+    return None if found.share < STANDS_IN else found
 
 
 def coordinates_of(model: Yielding, part: MovedPart) -> list[Coordinate]:
@@ -158,42 +166,42 @@ def _best(final: Fitted, model: Yielding, part: MovedPart) -> Curved | None:
 
     Glances are on windows so short that even a strong effect is nearly a linear one.
     """
-    short, longer = _begun(final)
-    problem = short.problem
-    along = model.coordinates(short.theta, problem.record, problem.windows, short.solution.point.states)
-    possible = [(c, c.of(along)) for c in coordinates_of(model, part) + _given(final, part)]
-    looks = [glance(short, coordinate, values) for coordinate, values in possible if np.ptp(values) > 0.0]
-    if not looks:
-        return None
-    effective = _worth(looks)
-    looks.sort(key=lambda look: criterion(look, effective))
     if not model.state_names:
         # inverse dynamics is linear in a curve: there a glance is as good as what follows
-        return gauged(minimised(begun(looks[0]), None, ITERATIONS))
-    trials = _leading([refined(begun(look), ITERATIONS) for look in looks[:REFINED]])
-    for length in longer:
-        windows = fit_windows(problem.record, length)
-        trials = _leading([lengthened(trial, windows, ITERATIONS) for trial in trials])
-    return gauged(deepened(trials[0], FINISHED))
+        looks = _looks(in_blocks(final), model, part)
+        return gauged(minimised(begun(looks[0]), None, ITERATIONS)) if looks else None
+    trials = _curves(final, model, part, HALVINGS)
+    return gauged(deepened(trials[0], FINISHED)) if trials else None
 
 
-def _begun(final: Fitted) -> tuple[Fitted, tuple[float, ...]]:
-    """The fit on the longest windows on which its errors are moderate, and the lengths (s) back."""
-    if not final.problem.model.state_names:
-        return in_blocks(final), ()
-    short = final
-    longer: tuple[float, ...] = ()
-    for share in SHORTER:
-        if short.noise < MODERATE:
-            break
-        longer = (length_of(short), *longer)
-        short = shortened(final, share)
-    return short, longer
+def _curves(final: Fitted, model: Yielding, part: MovedPart, halvings: int) -> list[Curved]:
+    """The best curves on the windows of a fit, some of them by way of windows half as long.
+
+    These are asked where errors are not moderate, or where the simulation keeps no glance's promise.
+    """
+    looks = _looks(final, model, part)[:REFINED]
+    moderate = final.noise < MODERATE or not halvings
+    trials = _leading([refined(begun(look), ITERATIONS) for look in looks]) if moderate else []
+    if not halvings or not looks or (trials and trials[0].fitted.noise < PROMISED * looks[0].fitted.noise):
+        return trials
+    windows = final.problem.windows
+    shorter = _curves(shortened(final, 0.5), model, part, halvings - 1)
+    return _leading([*trials, *(lengthened(trial, windows, ITERATIONS) for trial in shorter)])
+
+
+def _looks(short: Fitted, model: Yielding, part: MovedPart) -> list[Curved]:
+    """Glances at a curve over each coordinate that varies, the one with the least criterion first."""
+    problem = short.problem
+    along = model.coordinates(short.theta, problem.record, problem.windows, short.solution.point.states)
+    possible = [(c, c.of(along)) for c in coordinates_of(model, part) + _given(short, part)]
+    looks = [glance(short, coordinate, values) for coordinate, values in possible if np.ptp(values) > 0.0]
+    effective = _worth(looks) if looks else 0.0
+    return sorted(looks, key=lambda look: criterion(look, effective))
 
 
 def _leading(trials: Sequence[Curved]) -> list[Curved]:
     """Those that the best one does not leave far behind, best first."""
-    effective = _worth(trials)
+    effective = _worth(trials) if trials else 0.0
     marks = [criterion(trial, effective) for trial in trials]
     return [trials[i] for i in np.argsort(marks) if marks[i] < min(marks) + BEHIND]
 
@@ -236,12 +244,10 @@ def _answer(data: Data, final: Fitted, chosen: Curved, evidence: Evidence) -> Un
         formula=closed_form(curve.x, curve.value, curve.covariance, curve.reach),
         statement=_statement(chosen, curve, unit),
         evidence=evidence,
-        model=chosen.model,
-        fit=chosen.fitted,
+        curved=chosen,
         before=before,
         after=after,
         share=_share(before.of_joint(part.joint), after.of_joint(part.joint)),
-        degrees=chosen.degrees,
         rows=rows_beside(chosen),
     )
 

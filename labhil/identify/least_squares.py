@@ -11,7 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from labhil.identify.problem import Linearised, Point, Problem
-from labhil.identify.window_states import States, fit_states, polished, rescued_states, search_states, tried
+from labhil.identify.window_states import (
+    States,
+    fit_states,
+    looked_anew,
+    polished,
+    rescued_states,
+    search_states,
+    tried,
+)
 from labhil.signals import FloatArray
 
 SHAKES = 4
@@ -25,6 +33,9 @@ DAMPING = 1e-3
 
 MOST_DAMPING = 1e4
 """A step as short as this lets nobody come any lower."""
+
+RESCUED = 1e-3
+"""Share of the cost that better states of windows have to gain for a fit to go on."""
 
 WORTH = 0.5
 """A step that lowers the cost by less than this share of what it promised is polished."""
@@ -124,10 +135,10 @@ def _deepened(problem: Problem, solution: Solution, same: float, random: np.rand
 
 
 def _rescued(problem: Problem, point: Point, residuals: FloatArray) -> tuple[Point, FloatArray, float] | None:
-    """The same parameters with better states of outlying windows, or None when there are none."""
-    rescued = rescued_states(problem, point.z, States(point.states, residuals))
-    if rescued.residuals @ rescued.residuals < 0.999 * (residuals @ residuals):
-        return Point(point.z, rescued.states), rescued.residuals, DAMPING
+    """The same parameters with better states of some windows, or None when there are none."""
+    better = looked_anew(problem, point.z, States(point.states, residuals))
+    if better.cost < (1.0 - RESCUED) * float(residuals @ residuals):
+        return Point(point.z, better.states), better.residuals, DAMPING
     return None
 
 

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labhil.identify.least_squares import Solution
+from labhil.identify.least_squares import RESCUED, Solution
 from labhil.identify.problem import Linearised, Point, Problem
 from labhil.identify.statistics import long_run_variance, modelled_variance
-from labhil.identify.window_states import polished, tried
+from labhil.identify.window_states import States, looked_anew, polished, tried
 from labhil.signals import FloatArray, IntArray
 
 DAMPED, LEAST_DAMPED, MOST_DAMPED = 1e-3, 1e-8, 1e4
@@ -117,11 +117,13 @@ def minimise(problem: Problem, start: Point, penalty: FloatArray, iterations: in
     for iteration in range(iterations):
         cost = _cost(point.z, residuals, penalty)
         found = _lower(problem, point, residuals, penalty, damping)
-        if found is None:
-            return Solution(point, residuals, iteration, True)
-        point, residuals, damping = found
+        if found is not None:
+            point, residuals, damping = found
         if cost - _cost(point.z, residuals, penalty) < TOLERANCE * cost:
-            return Solution(point, residuals, iteration + 1, True)
+            better = looked_anew(problem, point.z, States(point.states, residuals))
+            if better.cost > (1.0 - RESCUED) * float(residuals @ residuals):
+                return Solution(point, residuals, iteration + 1, True)
+            point, residuals, damping = Point(point.z, better.states), better.residuals, DAMPED
     return Solution(point, residuals, iterations, False)
 
 

@@ -182,6 +182,19 @@ def _searched(problem: Problem, z: FloatArray, found: States) -> States:
     return _with_windows(problem, found, bad, tried(part, z, states))
 
 
+def looked_anew(problem: Problem, z: FloatArray, found: States) -> States:
+    """The better of what was found and what windows find from their guess on, the parameters held.
+
+    Steps of the parameters may have led windows into wrong valleys, even most of them. The few that still
+    leave more than noise begin from anywhere.
+    """
+    if not problem.model.state_names:
+        return found
+    found = found.or_better(problem, settled_states(problem, z, thorough=False))
+    few = 2 * len(_noisy(problem, found)) < len(found.states)
+    return _searched(problem, z, found) if few else found
+
+
 def _noisy(problem: Problem, found: States) -> IntArray:
     """Windows that leave more than noise."""
     return np.flatnonzero(found.costs(problem) > MORE_THAN_NOISE * _rows_of_windows(problem))

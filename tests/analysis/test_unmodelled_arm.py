@@ -82,7 +82,7 @@ def searched(*records: Record) -> tuple[Data, Fitted]:
 
 
 def curves_of(data: Data, base: Fitted) -> tuple[Unmodelled, ...]:
-    return beyond(data, Found(base, base, (), (), 1.0, 1))[1]
+    return beyond(data, Found(base, base, (), (), 1.0, 1), 2.0)[1]
 
 
 def within(found: Unmodelled, law: Law) -> float:
