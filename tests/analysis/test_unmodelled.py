@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,11 @@ from labhil.campaign.benchmark.cases import (
     held_ball,
 )
 from labhil.campaign.benchmark.trial import Case
+from labhil.diagnose.beyond import imitated
+from labhil.diagnose.evidence import Evidence
+from labhil.diagnose.found import Found, Step
 from labhil.diagnose.judge import Data
+from labhil.diagnose.refit import refit
 from labhil.diagnose.unmodelled import Unmodelled, unmodelled
 from labhil.identify.fitted import Fitted, climb, start_theta
 from labhil.identify.windows import fit_windows, noise_of
@@ -120,6 +125,34 @@ def test_a_magnet_under_the_beam_is_found_where_it_is() -> None:
 
     assert within(found, law) >= 0.9
     assert found.share >= 0.9
+
+
+@pytest.mark.extended
+@pytest.mark.parametrize(
+    ("hidden", "named", "stays"),
+    [
+        ({"hidden_magnet.pull": 0.002}, ("spring_force", "spring_hardening"), False),
+        ({"hidden_magnet.pull": 0.002}, ("constant_force",), False),
+        ({"hidden_magnet.pull": 0.0008}, (), False),
+        ({"spring_force.stiffness": 0.1}, ("spring_force",), True),
+        ({}, (), True),
+    ],
+)
+def test_a_curve_takes_the_place_of_what_imitates_it_only(
+    hidden: Mapping[str, float], named: tuple[str, ...], stays: bool
+) -> None:
+    """A magnet is no sum of springs; where a spring is, a curve has no more to say."""
+    effects = tuple({key.partition(".")[0] for key in hidden})
+    data, base = fitted(BALL_BEAM_RIG, BALL_TERMS, *held_balls(effects, hidden))
+    final = refit(replace(data, window=2.0 * data.window), base, (*base.terms, *named), named, thorough=True)
+    sure = Evidence(-100.0, 1e-9, 100.0)
+    steps = tuple(Step((term,), sure, 1e-9, told=True) for term in named)
+    excess = data.judge(final.theta)[-1]
+    found, curves = imitated(
+        data, Found(base, final, steps, (), 1.0, 20), max(excess.rmse / excess.noise_floor, 1.15)
+    )
+    assert [step.terms for step in found.missing] == ([(term,) for term in named] if stays else [])
+    assert [curve.depends_on for curve in curves] == ([] if stays else [("ball_position",)])
 
 
 @pytest.mark.extended
