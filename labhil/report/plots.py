@@ -16,6 +16,9 @@ from labhil.physics.terms import keyed
 from labhil.report.figure import AFTER, BEFORE, MEASURED, figure_of, finish, save
 from labhil.signals import FloatArray
 
+FOR_THE_LEGEND = 0.2
+"""Room above a curve, over its range: a formula is wide."""
+
 
 def diagnosis_plot(diagnosis: Diagnosis, path: Path) -> None:
     """Write a page of four panels as PNG: simulation, errors, the missing effort, and errors as histogram.
@@ -126,6 +129,8 @@ def _draw_curve(axes: Axes, curve: Curve) -> None:
     label = curve.formula or curve.acts.replace("_", " ")
     axes.plot(curve.x, curve.value, color=AFTER, lw=1.5, label=label)
     axes.axhline(0.0, color=MEASURED, lw=0.8)
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high + FOR_THE_LEGEND * (high - low))
     where = "" if curve.joint is None else f" on joint {curve.joint}"
     finish(axes, f"What no named effect explains{where}", f"{curve.depends_on}, {curve.x_unit}", curve.unit)
 
