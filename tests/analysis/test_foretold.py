@@ -15,7 +15,8 @@ from labhil.diagnose.evidence import unlikelier
 from labhil.diagnose.foretold import foretold
 from labhil.diagnose.judge import Data
 from labhil.identify.fitted import Fitted, covariances, fit_terms
-from labhil.identify.window_states import held_at
+from labhil.identify.problem import Problem
+from labhil.identify.window_states import States, looked_anew, settled_states, tried
 from labhil.identify.windows import fit_windows, noise_of
 from labhil.physics.model import Record, index_of, joined, start_values
 from labhil.plants.ball_beam import BallBeamPlant
@@ -67,7 +68,8 @@ def test_terms_that_are_not_there_cost_what_their_freedom_is_worth_however_badly
     assert max(freed) < 30.0
 
 
-def test_a_thorough_look_finds_the_states_of_windows_in_which_a_ball_sticks(model, acquire):
+def sticking(model, acquire) -> Problem:
+    """The true model of a ball that sticks and slips, on windows of 7.5 s."""
     terms = ("viscous_friction", "coulomb_friction", "stribeck_friction")
     parameters = {"coulomb_friction.level": 4e-4, "stribeck_friction.level": 1.6e-3}
     record = acquire(terms, 5, parameters=parameters, amplitude=0.25, duration=40.0)
@@ -75,10 +77,24 @@ def test_a_thorough_look_finds_the_states_of_windows_in_which_a_ball_sticks(mode
     for name, value in BallBeamPlant(parameters, terms, 5).parameters.items():
         if name in places and name.partition(".")[0] in terms:
             theta[places[name]] = value
-    windows, sigma = fit_windows(record, 7.5), noise_of(record)
-    quick, thorough = (held_at(model, theta, record, windows, sigma, thorough=each) for each in (False, True))
-    worst = [
-        max(np.sum(found.residuals.reshape(len(windows.first), -1) ** 2, axis=1))
-        for found in (quick, thorough)
-    ]
-    assert worst[1] < 1.44 * len(record) / len(windows.first) < worst[0]
+    windows = fit_windows(record, 7.5)
+    return Problem(model, record, windows, np.empty(0, dtype=np.int64), theta, noise_of(record))
+
+
+def worst_of(problem: Problem, found: States) -> float:
+    """Mean square of the window that leaves most, in squares of noise."""
+    return float(np.max(found.costs(problem) / np.bincount(problem.owner)))
+
+
+def test_a_thorough_look_finds_the_states_of_windows_in_which_a_ball_sticks(model, acquire):
+    problem = sticking(model, acquire)
+    quick, thorough = (settled_states(problem, np.empty(0), thorough=each) for each in (False, True))
+    assert worst_of(problem, thorough) < 1.44 < worst_of(problem, quick)
+
+
+def test_windows_that_steps_of_the_parameters_led_astray_find_back(model, acquire):
+    """All of them: none sticks out of the others."""
+    problem, nothing = sticking(model, acquire), np.empty(0)
+    astray = tried(problem, nothing, problem.guess + np.array([0.0, 0.5]))
+    assert np.min(astray.costs(problem)) > 1e4
+    assert worst_of(problem, looked_anew(problem, nothing, astray)) < 1.44
