@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -114,18 +114,30 @@ def _split(record: Record, share: float, gap: float) -> tuple[Record, Record]:
 def noise_of(record: Record) -> FloatArray:
     """Standard deviation of the measurement noise of each channel, from the recording alone, (channels,).
 
-    Third differences leave nothing of a motion that is smooth over four samples and 20 times the
-    variance of white noise; a robust scale keeps events out of it. A channel in steps (an ADC that
+    Third differences, divided where stamps are uneven, leave nothing of a motion that is smooth over four
+    samples; their weights are of length one, so that white noise keeps its variance. A robust scale keeps
+    events out of it. A channel in steps (an ADC that
     the noise does not dither) has at least the variance of rounding, step²/12. A controller that
     answers noise with motion within four samples makes it look a little (under 15 %) too small.
     """
-    sigmas = []
-    spans = record.spans
+    sigmas, third = [], _third_differences(record)
     for column in record.outputs.T:
-        third = np.concatenate([np.diff(column[first:last], n=3) for first, last in spans])
-        spread = float(np.sqrt(np.mean(np.square(third[np.abs(third) <= 8.0 * _robust(third)])) / 20.0))
+        left = third(column)
+        spread = float(np.sqrt(np.mean(np.square(left[np.abs(left) <= 8.0 * _robust(left)]))))
         sigmas.append(max(spread, converter_step(column) / np.sqrt(12.0), 1e-12))
     return np.array(sigmas)
+
+
+def _third_differences(record: Record) -> Callable[[FloatArray], FloatArray]:
+    """What takes of a channel (N,) every quadratic over four samples of one recording, variances kept."""
+    first = np.concatenate([np.arange(a, b - 3) for a, b in record.spans])
+    rows = first[:, None] + np.arange(4)
+    t = record.t[rows]
+    # time that stands or goes back is a fault of the data, and says nothing of where samples belong
+    t = np.where((np.diff(t, axis=1) > 0.0).all(axis=1, keepdims=True), t, np.arange(4.0))
+    weights = 1.0 / np.prod(t[:, :, None] - t[:, None, :] + np.eye(4), axis=2)
+    weights /= np.linalg.norm(weights, axis=1, keepdims=True)
+    return lambda column: np.asarray(np.sum(weights * column[rows], axis=1))
 
 
 def told_apart(model: Model, record: Record) -> Record:

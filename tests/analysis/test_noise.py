@@ -15,6 +15,7 @@ from labhil.identify.fitted import start_theta
 from labhil.identify.noise import CORRELATIONS, lasting_noise
 from labhil.identify.score import score, scored_horizon
 from labhil.identify.windows import noise_of
+from labhil.physics.model import Record
 
 TERMS = ("viscous_friction",)
 TRUTH = {"viscous_friction.coefficient": 0.26}
@@ -90,3 +91,13 @@ def test_a_horizon_longer_than_the_recording_is_cut_to_what_fits_twice(still):
 
 def test_correlations_are_looked_for_in_order():
     assert np.all(np.diff(CORRELATIONS) > 0.0)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.15])
+def test_a_fast_motion_at_uneven_stamps_is_no_noise(jitter: float) -> None:
+    """Third differences of even weights would take 0.6 m/s at stamps 0.75 ms off for many times the noise."""
+    random = np.random.default_rng(7)
+    t = 0.005 * (np.arange(4000) + random.uniform(-jitter, jitter, 4000))
+    x = 0.2 * np.sin(2.0 * np.pi * 0.5 * t) + random.normal(0.0, 2.5e-5, len(t))
+    record = Record(t, x[:, None], x[:, None], ("drive_force",), ("position",), ("m",))
+    assert noise_of(record)[0] == pytest.approx(2.5e-5, rel=0.05)
