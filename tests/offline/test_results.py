@@ -117,8 +117,13 @@ def test_a_fit_begins_at_the_model_that_it_is_given(fit, tmp_path):
     first, _ = fit("--terms", TERMS, "--estimator", "nlse")
     (tmp_path / "fit.json").rename(tmp_path / "first.json")
     again, _ = fit("--model", "first.json", "--estimator", "nlse")
+    for parameter in (far := json.loads((tmp_path / "first.json").read_text()))["parameters"]:
+        parameter["value"] *= 5.0
+    (tmp_path / "far.json").write_text(json.dumps(far))
+    from_afar, _ = fit("--model", "far.json", "--estimator", "nlse")
     assert again["terms"] == TERMS.split(",")
-    assert again["evaluations"] < first["evaluations"]
+    # were the given values not begun at, nothing would tell the two fits apart
+    assert again["evaluations"] != from_afar["evaluations"]
     for before, after in zip(first["parameters"], again["parameters"], strict=True):
         assert after["name"] == before["name"]
         assert abs(after["value"] - before["value"]) < 0.5 * before["std_error"]
