@@ -144,7 +144,7 @@ def _or_curve(data: Data, found: Found, part: MovedPart, excess: float) -> tuple
     named = len(_forces(data.model, found))
     chance = 2.0 * max(named - 1, 0) * np.log(found.looks)
     needed = NEEDED_BIC if named < 2 and excess < UNEXPLAINED else 0.0
-    behind = _behind(data, alone, _settled(data, found.final))
+    behind = _behind(data, alone, settled(data, found.final))
     return (simpler, alone) if behind - chance < needed else (found, None)
 
 
@@ -190,17 +190,12 @@ def _less(data: Data, found: Found, steps: Sequence[Step]) -> Found:
 def _curve(data: Data, final: Fitted, curves: Sequence[Unmodelled], part: MovedPart) -> Unmodelled | None:
     """A force beside a fit, judged on windows as long as those of that fit."""
     data, final = _beside(data, final, curves)
-    return unmodelled(_on_windows_of(data, final), final, part)
+    return unmodelled(replace(data, window=final.window), final, part)
 
 
-def _on_windows_of(data: Data, final: Fitted) -> Data:
-    rows = final.problem.windows
-    return replace(data, window=float(data.search.t[rows.last[0] - 1] - data.search.t[rows.first[0]]))
-
-
-def _settled(data: Data, final: Fitted) -> Fitted:
+def settled(data: Data, final: Fitted) -> Fitted:
     """The same terms where windows have looked for better states, as those under a curve do."""
-    return refit(_on_windows_of(data, final), final, final.terms, (), thorough=True)
+    return refit(replace(data, window=final.window), final, final.terms, (), thorough=True)
 
 
 def _beside(data: Data, final: Fitted, curves: Sequence[Unmodelled]) -> tuple[Data, Fitted]:

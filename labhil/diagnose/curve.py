@@ -91,13 +91,15 @@ class Curved:
 def shortened(final: Fitted, share: float) -> Fitted:
     """The same values on windows that are shorter by so much, each with the state that fits it best."""
     old = final.problem
-    windows = fit_windows(old.record, share * length_of(final))
+    window = share * length_of(final)
+    windows = fit_windows(old.record, window)
     problem = Problem(old.model, old.record, windows, old.free, final.theta, old.sigma)
     z = problem.start().z
     states = fit_states(problem, z, problem.guess)
     point = Point(z, states)
     residuals = problem.residuals(point)
-    return replace(final, problem=problem, solution=Solution(point, residuals, 0, True), rivals=())
+    ended = Solution(point, residuals, 0, True)
+    return replace(final, problem=problem, solution=ended, window=window, rivals=())
 
 
 def in_blocks(final: Fitted) -> Fitted:
@@ -134,7 +136,7 @@ def glance(begun: Fitted, coordinate: Coordinate, along: FloatArray) -> Curved:
     penalty = _smoothest(near, model)
     z = near.solve(penalty)
     solution = replace(begun.solution, point=replace(point, z=z), residuals=near.left(z))
-    fitted = Fitted((*begun.terms, NAME), problem.theta(z), problem, solution)
+    fitted = Fitted((*begun.terms, NAME), problem.theta(z), problem, solution, begun.window)
     kept = np.eye(model.spline.count)
     return Curved(fitted, model, penalty, near, near.degrees(penalty), along, kept)
 

@@ -36,7 +36,7 @@ from labhil.signals import FloatArray
 SEARCH_WINDOW_IN_HORIZONS = 0.375
 FIRST_WINDOW_IN_HORIZONS = 0.1875
 FALSE_ALARM = 5e-4
-SHOWN = 1.3
+SHOWN = 1.1
 """RMSE over the noise floor, on held-out data, that asks for a wider search."""
 
 LASTS = 1.1

@@ -181,7 +181,7 @@ def _fitted(
     found[kept] = solution.point.z
     point = Point(found, solution.point.states)
     ended = type(solution)(point, solution.residuals, solution.iterations, solution.converged)
-    return Fitted(accepted.terms, whole.theta(found), whole, ended)
+    return Fitted(accepted.terms, whole.theta(found), whole, ended, length)
 
 
 def _channels(

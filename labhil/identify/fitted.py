@@ -25,13 +25,15 @@ FIRST_ITERATIONS, LED_ON = 3, 2
 class Fitted:
     """A model's vector that was fitted on one cut into windows, with what led there.
 
-    ``rivals`` are other minima on the same windows that explain the data about as well.
+    The windows are about ``window`` s long; ``rivals`` are other minima on them that explain the data about
+    as well.
     """
 
     terms: tuple[str, ...]
     theta: FloatArray
     problem: Problem
     solution: Solution
+    window: float
     rivals: tuple[Fitted, ...] = ()
 
     @property
@@ -129,7 +131,7 @@ def fit_terms(
         whole.evaluations = problem.evaluations
         solution = replace(solution, point=Point(whole.start().z, solution.point.states))
         problem = whole
-    return Fitted(tuple(terms), theta, problem, solution)
+    return Fitted(tuple(terms), theta, problem, solution, window)
 
 
 def _best_scout(

@@ -115,8 +115,9 @@ class Problem:
     def residuals_at(self, theta: FloatArray, states: FloatArray) -> FloatArray:
         """The same at a whole vector ``theta`` and the windows' ``states``, (N·c,)."""
         self.evaluations += 1
-        simulated = self.model.simulate(theta, self.record, self.windows, states)
         # a plant that runs away is wrong by enough; its square must still be a number
+        with np.errstate(over="ignore"):
+            simulated = self.model.simulate(theta, self.record, self.windows, states)
         return over_noise(simulated, self._measured, self._noise, WORST)
 
     def linearise(self, point: Point, residuals: FloatArray, *, central: bool = False) -> Linearised:

@@ -16,7 +16,7 @@ from labhil.campaign.benchmark.cases import (
     held_ball,
 )
 from labhil.campaign.benchmark.trial import Case
-from labhil.diagnose.beyond import imitated
+from labhil.diagnose.beyond import imitated, settled
 from labhil.diagnose.evidence import Evidence
 from labhil.diagnose.found import Found, Step
 from labhil.diagnose.judge import Data
@@ -185,3 +185,12 @@ def test_no_force_changes_nothing(kind: str, acts: Over) -> None:
     nothing = ExtraForce(acts, grid, np.zeros(5), np.inf, course=np.zeros(len(record)))
     plain = model.simulate(theta, record, windows, states)
     assert np.array_equal(plain, model.with_force(nothing).simulate(theta, record, windows, states))
+
+
+def test_a_fit_settles_on_its_own_windows_where_a_recording_has_a_gap() -> None:
+    truth = {"moving_mass": 90.0, "viscous_friction.coefficient": 200.0, "coulomb_friction.level": 18.0}
+    record, test = (held_axis((), truth, seed, 3000) for seed in (1, 2))
+    kept = (record.t < 1.0) | (record.t > 1.3)
+    gap = replace(record, t=record.t[kept], inputs=record.inputs[kept], outputs=record.outputs[kept])
+    data, final = fitted(AXIS_RIG, AXIS_TERMS, gap, test)
+    assert len(settled(data, final).problem.windows) == len(final.problem.windows)
