@@ -317,9 +317,18 @@ def test_a_null_is_what_the_oracle_does_not_tell_either():
         judge(null, said(verdict="no_mismatch"), lossless),
         judge(null, said(verdict="not_decidable"), lossless),
     ]
-    card = count(judged, "ball_beam", False)
-    assert card.false_alarms == Share(2, 3)
+    card = count([*judged, judge(answer(), said("dead_zone"), lossless)], "ball_beam", False)
+    assert card.false_alarms == Share(3, 4)
+    assert card.with_nothing == Share(1, 1)
     assert card.single.of == 0
+
+
+def test_exact_answers_with_rivals_are_counted_apart():
+    pair = said("dead_zone", rivals=[rival("time_delay", "dead_zone")])
+    truth = answer(effect("dead_zone", strength=3.5))
+    card = count([judge(truth, each, lossless) for each in (pair, said("dead_zone"))], "ball_beam", False)
+    assert card.naming["one effect"]["full"] == Share(2, 2)
+    assert card.alone["one effect"]["full"] == Share(1, 2)
 
 
 def test_between_three_and_ten_nats_only_detection_counts():

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -35,8 +36,10 @@ class Reliability:
 class Card:
     """The score of a set of trials.
 
-    ``naming`` maps the number of effects (and "outside the catalogue") and a grade of strength to the
-    share of exact answers; ``detection`` maps a range of the strongest effect's strength to the share
+    ``false_alarms`` are those on trials in which nothing makes a difference to the oracle, ``with_nothing``
+    those on trials in which nothing was concealed at all. ``naming`` maps the number of effects (and "outside
+    the catalogue") and a grade of strength to the share of exact answers, ``alone`` to that of exact ones
+    without a rival beside them; ``detection`` maps a range of the strongest effect's strength to the share
     detected, ``named`` to the share of exact answers to one effect; ``undecided`` is the share of "cannot
     tell" where an oracle can; ``confusion`` counts pairs of true and named term; ``joints`` is the share of
     effects in a joint that were looked for there, of those that were found at all. ``after_over_floor`` are
@@ -48,10 +51,12 @@ class Card:
     trials: int
     failures: int
     false_alarms: Share
+    with_nothing: Share
     detection: Mapping[str, Share]
     named: Mapping[str, Share]
     undecided: Share
     naming: Mapping[str, Mapping[str, Share]]
+    alone: Mapping[str, Mapping[str, Share]]
     single: Share
     confusion: Mapping[tuple[str, str], int]
     reliability: tuple[Reliability, ...]
@@ -74,13 +79,12 @@ class Card:
             "trials": self.trials,
             "failures": self.failures,
             "false_alarms": self.false_alarms.to_json(),
+            "false_alarms_with_nothing": self.with_nothing.to_json(),
             "detection": {name: share.to_json() for name, share in self.detection.items()},
             "exact_by_strength": {name: share.to_json() for name, share in self.named.items()},
             "not_decidable": self.undecided.to_json(),
-            "naming": {
-                name: {grade: share.to_json() for grade, share in grades.items()}
-                for name, grades in self.naming.items()
-            },
+            "naming": _grades_to_json(self.naming),
+            "single_naming": _grades_to_json(self.alone),
             "single_answers": self.single.to_json(),
             "confusion": [
                 {"true": true, "named": named, "count": count}
@@ -104,6 +108,12 @@ class Card:
         }
 
 
+def _grades_to_json(naming: Mapping[str, Mapping[str, Share]]) -> dict[str, Any]:
+    return {
+        name: {grade: share.to_json() for grade, share in grades.items()} for name, grades in naming.items()
+    }
+
+
 def _each(judged: Judged) -> dict[str, Any]:
     """One trial as a line of a table."""
     return {
@@ -120,7 +130,6 @@ def _each(judged: Judged) -> dict[str, Any]:
 
 def count(judged: Sequence[Judged], rig: str, fixed_seed: bool) -> Card:
     """Count trials that were judged one by one."""
-    nulls = [j for j in judged if j.null]
     told = [j for j in judged if j.sure]
     ratios = [j.after_over_floor for j in judged if j.after_over_floor is not None]
     claims = [claim for j in judged for claim in j.claims]
@@ -131,11 +140,13 @@ def count(judged: Sequence[Judged], rig: str, fixed_seed: bool) -> Card:
         fixed_seed=fixed_seed,
         trials=len(judged),
         failures=sum(j.verdict is None for j in judged),
-        false_alarms=Share(sum(j.verdict != "no_mismatch" for j in nulls), len(nulls)),
+        false_alarms=_share([j.alarm for j in judged if j.null]),
+        with_nothing=_share([j.alarm for j in judged if j.nothing]),
         detection=_by_strength([(j.strongest, j.detected) for j in judged if j.strongest is not None]),
         named=_by_strength([(j.sure[0].strength, j.exact) for j in told if len(j.sure) == 1]),
         undecided=Share(sum(j.verdict == "not_decidable" for j in told), len(told)),
-        naming=_naming(told),
+        naming=_by_number(told, attrgetter("exact")),
+        alone=_by_number(told, attrgetter("single")),
         single=Share(sum(j.single for j in told), len(told)),
         confusion=Counter(pair for j in judged for pair in j.confused),
         reliability=reliability,
@@ -178,7 +189,8 @@ def _by_strength(hits: Sequence[tuple[float, bool]]) -> dict[str, Share]:
     }
 
 
-def _naming(told: Sequence[Judged]) -> dict[str, dict[str, Share]]:
+def _by_number(told: Sequence[Judged], right: Callable[[Judged], bool]) -> dict[str, dict[str, Share]]:
+    """What is right of answers, by the number of effects and the least strength of any."""
     groups: dict[str, list[Judged]] = {name: [] for name in (*COUNTED.values(), "outside the catalogue")}
     for j in told:
         known = all(effect.catalogue for effect in j.sure)
@@ -187,7 +199,7 @@ def _naming(told: Sequence[Judged]) -> dict[str, dict[str, Share]]:
             groups[group].append(j)
     return {
         name: {
-            grade: _share([j.exact for j in group if min(e.strength for e in j.sure) >= least])
+            grade: _share([right(j) for j in group if min(e.strength for e in j.sure) >= least])
             for grade, least in GRADES.items()
         }
         for name, group in groups.items()

@@ -14,17 +14,21 @@ Card = Mapping[str, Any]
 
 ROWS: Mapping[str, Callable[[Card], str]] = {
     "trials, half of them drawn as nulls": lambda card: str(card["trials"]),
-    "false alarms on nulls": lambda card: _share(card["false_alarms"]),
+    "false alarms where nothing was concealed": lambda card: _share(card["false_alarms_with_nothing"]),
+    "the same with effects that no oracle sees": lambda card: _share(card["false_alarms"]),
     "one effect, exact, strength 3 or more": lambda card: _share(card["naming"]["one effect"]["full"]),
     "one effect, exact, strength 1.3 or more": lambda card: _share(
         card["naming"]["one effect"]["weak or more"]
+    ),
+    "one effect, strength 3 or more: right and no rival beside it": lambda card: _share(
+        card["single_naming"]["one effect"]["full"]
     ),
     "two effects: both and nothing else": lambda card: _share(card["naming"]["two effects"]["any"]),
     "three effects": lambda card: _share(card["naming"]["three effects"]["any"]),
     "outside the catalogue: not misnamed": lambda card: _share(
         card["naming"]["outside the catalogue"]["any"]
     ),
-    "right and without a rival beside it": lambda card: _share(card["single_answers"]),
+    "all trials with effects: right and no rival beside any": lambda card: _share(card["single_answers"]),
     "`not_decidable` where an oracle decides": lambda card: _share(card["not_decidable"]),
     "calibration error of stated probabilities": lambda card: _number(card["calibration_error"]),
     "80 % of the excess gone": lambda card: _share(card["modelled"]),

@@ -29,8 +29,9 @@ Loss = Callable[[TrueEffect, str], float]
 class Judged:
     """What counts of one trial.
 
-    ``real`` effects make a difference, ``sure`` ones have to be found (10 nats or more); ``exact`` says that
-    they were named and nothing else was, ``single`` that no name of the answer had a rival beside it.
+    ``nothing`` says that nothing was concealed; ``real`` effects make a difference to the oracle (none is a
+    ``null``), ``sure`` ones have to be found (10 nats or more); ``exact`` says that they were named and
+    nothing else was, ``single`` that no name of the answer had a rival beside it.
     ``confused`` holds pairs of true and named terms, ``claims`` pairs of a stated probability and whether it
     was right, ``covered`` for each interval whether it holds the truth, ``complete`` whether the final model
     holds every listed effect. ``modelled`` and ``after_over_floor`` are None where there is nothing
@@ -40,6 +41,7 @@ class Judged:
 
     trial: str
     verdict: str | None
+    nothing: bool
     null: bool
     real: tuple[TrueEffect, ...]
     sure: tuple[TrueEffect, ...]
@@ -56,6 +58,11 @@ class Judged:
     overlap: float | None
     seconds: float
     joints: tuple[bool, ...] = ()
+
+    @property
+    def alarm(self) -> bool:
+        """Whether anything was said to be wrong."""
+        return self.verdict != "no_mismatch"
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +95,7 @@ def judge(answer: Answer, said: Said, loss: Loss, overlap: float | None = None) 
     return Judged(
         trial=answer.trial,
         verdict=said.verdict,
+        nothing=not answer.effects,
         null=not real,
         real=tuple(real),
         sure=tuple(sure),

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from rich.console import Console
 from rich.table import Table
 
+from labhil.campaign.share import Share
 from labhil.campaign.trials.card import Card
 from labhil.campaign.trials.judge import NONE, UNMODELLED
 from labhil.physics.terms import unkeyed
@@ -20,7 +23,8 @@ def show(card: Card, console: Console) -> None:
     console.print(f"{card.rig}: {card.trials} trials{failed}{drawn}\n", highlight=False)
     console.print(_confusion(card))
     console.print(_detection(card))
-    console.print(_naming(card))
+    console.print(_naming("Exact answers: all effects named and nothing else", card.naming))
+    console.print(_naming("The same, without a rival beside any of them", card.alone))
     console.print(_reliability(card))
     for line in lines(card):
         console.print(line, highlight=False, soft_wrap=True)
@@ -32,7 +36,8 @@ def lines(card: Card) -> list[str]:
     error = "–" if after is None else f"median {after[0]:.3f}, 90th percentile {after[1]:.3f}"
     calibration = "–" if card.calibration_error is None else f"{card.calibration_error:.3f}"
     return [
-        f"False alarms on nulls: {card.false_alarms}",
+        f"False alarms where nothing was concealed: {card.with_nothing}",
+        f"False alarms on nulls, effects among them that no oracle sees: {card.false_alarms}",
         f"Single answers, right and alone: {card.single}",
         f"Left undecided where an oracle decides: {card.undecided}",
         f"Calibration error of stated probabilities: {calibration}",
@@ -80,10 +85,10 @@ def _detection(card: Card) -> Table:
     return table
 
 
-def _naming(card: Card) -> Table:
-    grades = list(next(iter(card.naming.values())))
-    table = _table("Exact answers: all effects named and nothing else", "", *grades)
-    for name, shares in card.naming.items():
+def _naming(title: str, naming: Mapping[str, Mapping[str, Share]]) -> Table:
+    grades = list(next(iter(naming.values())))
+    table = _table(title, "", *grades)
+    for name, shares in naming.items():
         if shares[grades[0]].of:
             table.add_row(name, *(str(shares[grade]) for grade in grades))
     return table
