@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -78,57 +78,103 @@ def diagnose(
         reason = "neither input nor output moves beyond the noise"
         return _unsearched(data, base, "not_decidable", reason, faults, heldout_is_test, began)
     look = partial(_found, terms=terms, reference=reference, accepted=accepted, progress=progress)
-    data, found, left = _looked_wider(data, look(data, base), look, progress)
-    held_out, wider = data.test, data.test is not held_out
-    progress("scores, intervals and exclusion limits")
-    base = found.baseline
-    # the same windows and the same noise before and after
-    horizon = scored_horizon(model, found.final.theta, held_out)
-    noise = lasting_noise(model, found.final.theta, held_out, noise_of(held_out))
-    marked = partial(score, record=held_out, sigma=noise.sigma, horizon=horizon, lasts=noise.lasts)
-    before = marked(model, base.theta)
-    after = marked(model, found.final.theta) if found.missing else before
-    more = _leaves_more(data, found, left, _excess(after))
-    look_beyond = more or model.metric is Metric.INVERSE_DYNAMICS
-    if more:
-        progress("a force over each coordinate in turn, for no named effect explains the rest")
-    found, curves = (beyond if look_beyond else imitated)(data, found, _excess(after))
-    after = marked(*_accepted(model, found, curves)) if more or curves else after
-    excess, claims = _doubts(model, after, found, curves)
+    end = _concluded(*_looked_wider(data, look(data, base), look, progress), progress)
+    found, curves, told, claimed = end.found, end.curves, strongest(end.curves), end.doubts
     final = curves[-1].rows if curves else _rows(found)
-    told = strongest(curves)
     changed = _changes(final, reference)
+    wider = end.data.test is not data.test
     return Diagnosis(
-        verdict=_verdict(found, changed, curves, more),
+        verdict=_verdict(end, changed),
         faults=faults,
         p_value=found.p_value,
         p_value_method="tail_extrapolated",
         p_value_floor=0.0,
-        baseline_terms=base.terms,
-        baseline=table_of(base).rows,
+        baseline_terms=found.baseline.terms,
+        baseline=table_of(found.baseline).rows,
         changed=changed,
-        location=telling.location(found, before, after, held_out, told, wider=wider),
+        location=telling.location(found, end.before, end.after, end.data.test, told, wider=wider),
         missing=(
-            *(telling.missing(model, step, found, final, excess, claims) for step in found.missing),
-            *(telling.unnamed(curve, excess, claims) for curve in told),
+            *(telling.missing(model, step, found, final, *claimed) for step in found.missing),
+            *(telling.unnamed(curve, *claimed) for curve in told),
         ),
-        rivals=tuple(telling.rival_term(model, rival, found, excess, claims) for rival in found.rivals),
+        rivals=tuple(telling.rival_term(model, rival, found, *claimed) for rival in found.rivals),
         undecided=telling.undecided(model),
-        excluded=telling.excluded(data, found),
+        excluded=telling.excluded(end.data, found),
         data="test" if heldout_is_test else "heldout",
-        held_out=held_out,
-        before=with_forces(before, model, base.theta, held_out, noise.sigma),
-        after=with_forces(after, *_accepted(model, found, curves), held_out, noise.sigma),
+        held_out=end.data.test,
+        before=with_forces(end.before, model, found.baseline.theta, end.data.test, end.sigma),
+        after=with_forces(end.after, *end.accepted, end.data.test, end.sigma),
         final_terms=found.final.terms,
         final=final,
-        baseline_fit=base,
+        baseline_fit=found.baseline,
         final_fit=found.final,
         curve=telling.curve(told[0]) if told else None,
         further_curves=tuple(telling.curve(curve) for curve in told[1:]),
         seconds=time.perf_counter() - began,
-        shorter=_on_shorter_windows(data, found, before, after),
+        shorter=end.on_shorter_windows,
         wider=wider,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Concluded:
+    """Where a search ended: what was found, forces without a name beside it, and what is left.
+
+    ``before`` and ``after`` are scores on the same windows and of the same noise ``sigma`` (c,); ``more``
+    says that more than noise is left by what has a name.
+    """
+
+    data: Data
+    found: Found
+    curves: tuple[Unmodelled, ...]
+    more: bool
+    before: Score
+    after: Score
+    sigma: FloatArray
+
+    @property
+    def accepted(self) -> tuple[Model, FloatArray]:
+        """The model that is left, with its vector; the last of the curves was found beside all others."""
+        if self.curves:
+            return self.curves[-1].model, self.curves[-1].fit.theta
+        return self.data.model, self.found.final.theta
+
+    @property
+    def doubts(self) -> tuple[float, int]:
+        """What speaks against a claim: the excess that stays, and how many there are; of an arm neither."""
+        if self.data.model.metric is Metric.INVERSE_DYNAMICS:
+            return 1.0, 1
+        return _excess(self.after), len(self.found.missing) + len(self.curves)
+
+    @property
+    def on_shorter_windows(self) -> tuple[Score, Score] | None:
+        """Scores on windows of the search, if the metric's are worse with what was found than without.
+
+        Noise that drives the plant itself outgrows every model on long windows.
+        """
+        data, found = self.data, self.found
+        if not found.missing or self.after.rmse < self.before.rmse or not data.model.state_names:
+            return None
+        return data.judge(found.baseline.theta)[0], data.judge(found.final.theta)[0]
+
+
+def _concluded(data: Data, found: Found, left: FloatArray, progress: Callable[[str], None]) -> Concluded:
+    """Judge what was found on held-out data, and look for a force without a name where that is not enough."""
+    progress("scores, intervals and exclusion limits")
+    model, theta = data.model, found.final.theta
+    # the same windows and the same noise before and after
+    horizon = scored_horizon(model, theta, data.test)
+    noise = lasting_noise(model, theta, data.test, noise_of(data.test))
+    marked = partial(score, record=data.test, sigma=noise.sigma, horizon=horizon, lasts=noise.lasts)
+    before = marked(model, found.baseline.theta)
+    after = marked(model, theta) if found.missing else before
+    more = _leaves_more(data, found, left, _excess(after))
+    if more:
+        progress("a force over each coordinate in turn, for no named effect explains the rest")
+    look = beyond if more or model.metric is Metric.INVERSE_DYNAMICS else imitated
+    kept, curves = look(data, found, _excess(after))
+    end = Concluded(data, kept, curves, more, before, after, noise.sigma)
+    return replace(end, after=marked(*end.accepted)) if curves or kept is not found else end
 
 
 def _found(
@@ -180,21 +226,6 @@ def _marked(data: Data, found: Found) -> Score:
     theta = found.final.theta
     noise = lasting_noise(data.model, theta, data.test, noise_of(data.test))
     return score(data.model, theta, data.test, noise.sigma, lasts=noise.lasts)
-
-
-def _on_shorter_windows(data: Data, found: Found, before: Score, after: Score) -> tuple[Score, Score] | None:
-    """Scores on windows of the search, if the metric's are worse with what was found than without.
-
-    Noise that drives the plant itself outgrows every model on long windows.
-    """
-    if not found.missing or after.rmse < before.rmse or not data.model.state_names:
-        return None
-    return data.judge(found.baseline.theta)[0], data.judge(found.final.theta)[0]
-
-
-def _accepted(model: Model, found: Found, curves: Sequence[Unmodelled]) -> tuple[Model, FloatArray]:
-    """The model that is left, with its vector; the last of the curves was found beside all others."""
-    return (curves[-1].model, curves[-1].fit.theta) if curves else (model, found.final.theta)
 
 
 def data_of(
@@ -258,12 +289,10 @@ def _rows(found: Found) -> list[Estimate]:
     return [with_error(row, found.errors.get(row.key, 0.0)) for row in rows]
 
 
-def _verdict(
-    found: Found, changed: tuple[Change, ...], curves: Sequence[Unmodelled], unexplained: bool
-) -> str:
-    if found.missing or curves:
+def _verdict(end: Concluded, changed: Sequence[Change]) -> str:
+    if end.found.missing or end.curves:
         return "missing_physics"
-    if unexplained:
+    if end.more:
         return "unexplained_mismatch"
     return "parameter_change" if changed else "no_mismatch"
 
@@ -280,13 +309,6 @@ def _leaves_more(data: Data, found: Found, left: FloatArray, excess: float) -> b
 def _excess(marks: Score) -> float:
     """RMSE over the noise floor of the worst output."""
     return max(channel.rmse / channel.noise_floor for channel in marks.channels)
-
-
-def _doubts(model: Model, after: Score, found: Found, curves: Sequence[Unmodelled]) -> tuple[float, int]:
-    """What speaks against a claim: the excess that stays, and how many there are; of an arm neither."""
-    if model.metric is Metric.INVERSE_DYNAMICS:
-        return 1.0, 1
-    return _excess(after), len(found.missing) + len(curves)
 
 
 def _changes(final: Sequence[Estimate], reference: Mapping[str, float] | None) -> tuple[Change, ...]:
