@@ -67,7 +67,9 @@ def scored_slopes(problem: Problem, score: Score) -> FloatArray:
     slopes = lin.by_parameters
     if lin.by_states.shape[1]:
         lead = lin.by_states * ~scored[:, None]
-        slopes = problem.without_states(slopes, lin.by_states, problem.share(lead, slopes))
+        mixed = problem.per_window(lead[:, :, None] * slopes[:, None, :])
+        share = np.linalg.solve(problem.state_gram(lead), mixed)
+        slopes = slopes - np.einsum("ns,nsk->nk", lin.by_states, share[problem.owner])
     return np.asarray(slopes[scored])
 
 
@@ -140,7 +142,10 @@ def _orthogonal(
 ) -> FloatArray:
     """What of ``columns`` (N·c, k) neither windows' states nor parameters could explain."""
     if slopes.shape[1]:
-        columns = problem.without_states(columns, slopes, problem.share(slopes, columns))
+        gram = problem.state_gram(slopes)
+        mixed = problem.per_window(slopes[:, :, None] * columns[:, None, :])
+        share = np.linalg.solve(gram, mixed)
+        columns = columns - np.einsum("ns,nsk->nk", slopes, share[problem.owner])
     length = np.linalg.norm(jacobian, axis=0)
     left, singular, _ = np.linalg.svd(jacobian[:, length > 0.0] / length[length > 0.0], full_matrices=False)
     basis = left[:, singular > 1e-8]

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labhil.identify.rows import over_noise, products, without
 from labhil.identify.windows import noise_at
 from labhil.physics.model import Model, Record, Windows
 from labhil.signals import FloatArray, IntArray
@@ -80,7 +79,6 @@ class Problem:
         self.evaluations = 0
         self.guess = model.initial_states(record, windows)
         self._measured = record.outputs[windows.rows]
-        self._noise = np.array(np.broadcast_to(self.noise, self._measured.shape))
 
     def of_windows(self, chosen: IntArray) -> Problem:
         """The same problem on some of its windows only."""
@@ -118,7 +116,8 @@ class Problem:
         # a plant that runs away is wrong by enough; its square must still be a number
         with np.errstate(over="ignore"):
             simulated = self.model.simulate(theta, self.record, self.windows, states)
-        return over_noise(simulated, self._measured, self._noise, WORST)
+            residuals = ((simulated - self._measured) / self.noise).ravel()
+        return np.clip(np.nan_to_num(residuals, nan=WORST), -WORST, WORST)
 
     def linearise(self, point: Point, residuals: FloatArray, *, central: bool = False) -> Linearised:
         """Differences of the simulation; ``central`` where the bounds leave room, else one-sided."""
@@ -152,22 +151,9 @@ class Problem:
         """Sum rows (N·c, …) within each window, (W, …)."""
         return np.add.reduceat(rows, self.edges, axis=0)
 
-    def per_state(self, by_states: FloatArray, columns: FloatArray) -> FloatArray:
-        """AᵀB of each window, A its own states (N·c, S) and B ``columns`` (N·c, k): (W, S, k)."""
-        return products(self.edges, np.ascontiguousarray(by_states), np.ascontiguousarray(columns))
-
-    def share(self, by_states: FloatArray, columns: FloatArray, gram: FloatArray | None = None) -> FloatArray:
-        """How much of each window's own states explains ``columns`` (N·c, k) best, (W, S, k)."""
-        gram = self.state_gram(by_states) if gram is None else gram
-        return np.asarray(np.linalg.solve(gram, self.per_state(by_states, columns)), dtype=np.float64)
-
-    def without_states(self, columns: FloatArray, by_states: FloatArray, share: FloatArray) -> FloatArray:
-        """Columns (N·c, k) less what such a ``share`` of each window's states explains."""
-        return without(self.edges, np.ascontiguousarray(columns), np.ascontiguousarray(by_states), share)
-
     def state_gram(self, by_states: FloatArray, damping: FloatArray | None = None) -> FloatArray:
         """AᵀA of each window's own states (W, S, S), damped; invertible even where a state has no effect."""
-        gram = self.per_state(by_states, by_states)
+        gram = self.per_window(by_states[:, :, None] * by_states[:, None, :])
         if not by_states.shape[1]:
             return gram
         diagonal = np.einsum("wss->ws", gram)
@@ -181,4 +167,6 @@ class Problem:
         if not lin.by_states.shape[1]:
             return columns
         gram = self.state_gram(lin.by_states, np.full(len(self.edges), damping))
-        return self.without_states(columns, lin.by_states, self.share(lin.by_states, columns, gram))
+        mixed = self.per_window(lin.by_states[:, :, None] * columns[:, None, :])
+        share = np.linalg.solve(gram, mixed)
+        return np.asarray(columns - np.einsum("ns,nsk->nk", lin.by_states, share[self.owner]))

@@ -168,7 +168,7 @@ class Scan:
             gram, pull = (both.T @ both)[None], (both.T @ told.target)[None]
         else:
             both = told.beside_states(both)
-            gram = problem.per_state(both, both)
+            gram = problem.per_window(both[:, :, None] * both[:, None, :])
             pull = problem.per_window(both * told.target[:, None])
         gram += 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(len(self.waves)) + 1e-300
         sizes = np.linalg.solve(gram, pull[:, :, None])[:, :, 0]

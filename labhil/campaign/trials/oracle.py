@@ -207,7 +207,9 @@ def _settled(problem: Problem, whiten: Whiten) -> tuple[FloatArray, Point]:
     share = np.ones(len(point.states))
     for _ in range(STEPS):
         slopes = whiten(problem.state_slopes(point, residuals))
-        step = problem.share(slopes, white[:, None])[:, :, 0]
+        step = np.linalg.solve(
+            problem.state_gram(slopes), problem.per_window(slopes * white[:, None])[:, :, None]
+        )[:, :, 0]
         tried = Point(none, point.states - share[:, None] * step * problem.model.state_scale)
         after = problem.residuals(tried)
         white_after = whiten(after[:, None])[:, 0]
@@ -226,5 +228,6 @@ def _left(problem: Problem, white: FloatArray, slopes: FloatArray) -> FloatArray
     """What each window's own states leave of white rows (N·c,)."""
     if not problem.model.state_names:
         return white
-    column = white[:, None]
-    return problem.without_states(column, slopes, problem.share(slopes, column))[:, 0]
+    mixed = problem.per_window(slopes * white[:, None])[:, :, None]
+    share = np.linalg.solve(problem.state_gram(slopes), mixed)[:, :, 0]
+    return np.asarray(white - np.einsum("ns,ns->n", slopes, share[problem.owner]))
