@@ -20,7 +20,7 @@ from labhil.diagnose.intake import Fault, faults_of, usable
 from labhil.diagnose.judge import NEEDED_BIC, Data
 from labhil.diagnose.load import with_load
 from labhil.diagnose.rest import UNEXPLAINED, left_by, unexplained
-from labhil.diagnose.search import search
+from labhil.diagnose.search import on_several_windows, onward, search
 from labhil.diagnose.unmodelled import Unmodelled
 from labhil.diagnose.wider import searched_and_kept
 from labhil.identify.fitted import Fitted, climb, start_theta
@@ -172,7 +172,9 @@ def _concluded(data: Data, found: Found, left: FloatArray, progress: Callable[[s
     if more:
         progress("a force over each coordinate in turn, for no named effect explains the rest")
     look = beyond if more or model.metric is Metric.INVERSE_DYNAMICS else imitated
-    kept, curves = look(data, found, _excess(after))
+    several = on_several_windows(data, found)
+    kept, curves = look(data, several, _excess(after))
+    kept = found if kept is several and not curves else kept
     end = Concluded(data, kept, curves, more, before, after, noise.sigma)
     return replace(end, after=marked(*end.accepted)) if curves or kept is not found else end
 
@@ -202,7 +204,7 @@ def _looked_wider(
     """Data, what was found, and what that leaves: of a wider search where held-out data show something else.
 
     What that names has to explain them; else the first answer stays. Where it names nothing, what was named
-    first does not hold on more data.
+    first does not hold on more data, unless these still ask for it.
     """
     left = left_by(data, found.final)
     shown = unexplained(data, left[1]) or _excess(_marked(data, found)) > SHOWN
@@ -211,14 +213,28 @@ def _looked_wider(
         return data, found, left
     progress("the held-out data show something else: the search goes on with half of them")
     searched, kept = parts
-    wider = replace(data, search=searched, test=kept, sigma=noise_of(searched), test_sigma=noise_of(kept))
+    sigma, test_sigma = noise_of(searched), noise_of(kept)
+    wider = replace(data, search=searched, test=kept, sigma=sigma, test_sigma=test_sigma, first=data)
     wider, base = _with_lasting_noise(wider, fit_baseline(wider, found.baseline.terms))
     again = look(wider, base)
     left_then = left_by(wider, again.final)
-    firm = not unexplained(wider, left_then) if again.missing else np.max(left_then) < np.max(left)
-    if not firm:
-        return data, found, left
-    return wider, again, left_then
+    if again.missing:
+        firm = not unexplained(wider, left_then)
+    else:
+        firm = bool(np.max(left_then) < np.max(left)) and not _still_needed(wider, found, again)
+    return (wider, again, left_then) if firm else (data, found, left)
+
+
+def _still_needed(wider: Data, found: Found, again: Found) -> bool:
+    """Whether what was named first explains more data than it was found on by very strong evidence.
+
+    A baseline that is refitted to half of the held-out data may leave nothing to be seen in the other half.
+    """
+    if not found.missing:
+        return False
+    first = onward(replace(wider, window=again.final.window), found.final)
+    effective = min(effective_samples(first), effective_samples(again.final))
+    return bic(first, effective) - bic(again.final, effective) < NEEDED_BIC
 
 
 def _marked(data: Data, found: Found) -> Score:

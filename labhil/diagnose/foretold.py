@@ -8,8 +8,9 @@ held-out data given the searched ones. Beforehand each is known to its scale.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from labhil.diagnose.evidence import (
     unlikelier,
 )
 from labhil.diagnose.judge import ALPHA, NEEDED_BIC, Data
-from labhil.identify.fitted import Fitted
+from labhil.identify.fitted import Fitted, climb
 from labhil.identify.problem import Point, Problem
 from labhil.identify.score import Score
 from labhil.identify.window_states import States, fit_states, held_at, tried
@@ -52,11 +53,36 @@ def compare(
     effective = effective_samples(after)
     gain, p_value = best_heldout_gain(scores_before, data.judge(after.theta))
     delta = bic(after, effective) - bic(before, effective)
-    if delta < NEEDED_BIC and gain > 0.0 and p_value >= ALPHA and data.model.state_names:
-        likelier = -0.5 * unlikelier(foretold(data, before), foretold(data, after))
-        if np.exp(-likelier / CAUTION) < p_value:
-            gain, p_value = likelier, float(np.exp(-likelier / CAUTION))
+    if delta < NEEDED_BIC and p_value >= ALPHA and data.model.state_names:
+        others = _likelier(data, before, after, gain, looks)
+        gain, p_value = min([(gain, p_value), *others], key=itemgetter(1))
     return Evidence(delta, p_value, gain), search_p_value(before, after, effective, looks)
+
+
+def _likelier(
+    data: Data, before: Fitted, after: Fitted, gain: float, looks: int
+) -> Iterator[tuple[float, float]]:
+    """Nats and p values by likelihoods that the searched data allow: of held-out data for which scores speak.
+
+    And of the whole test that a wider search took half of, by fits to what was searched before: a baseline
+    that is refitted to that half may leave nothing to be seen in the other one. With that half all candidates
+    were looked at, so that p value is corrected for their number.
+    """
+    if gain > 0.0:
+        likelier = -0.5 * unlikelier(foretold(data, before), foretold(data, after))
+        yield likelier, float(np.exp(-likelier / CAUTION))
+    if data.first is not None:
+        first = replace(data.first, window=min(after.window, data.first.search.longest))
+        likelier = -0.5 * unlikelier(*(foretold(first, _alone(first, fitted)) for fitted in (before, after)))
+        yield likelier, looks * float(np.exp(-likelier / CAUTION))
+
+
+def _alone(first: Data, fitted: Fitted) -> Fitted:
+    """The same terms fitted to what was searched first."""
+    return climb(
+        first.model, first.search, fitted.terms, [first.window], first.sigma,
+        start=fitted.theta, fresh=(), held=first.held,
+    )[-1]  # fmt: skip
 
 
 def foretold(data: Data, fitted: Fitted, penalty: FloatArray | None = None) -> Left:

@@ -41,7 +41,8 @@ TOGETHER = 5e-4
 class Data:
     """What a search works on: search and test records with their noise, and the windows' length in s.
 
-    ``begin`` is the vector that fits begin at; parameters with a key in ``held`` stay there.
+    ``begin`` is the vector that fits begin at; parameters with a key in ``held`` stay there. Of a wider
+    search ``first`` is what was searched and held out before.
     """
 
     model: Model
@@ -52,6 +53,7 @@ class Data:
     window: float
     begin: FloatArray
     held: frozenset[str] = frozenset()
+    first: Data | None = None
 
     def judge(self, theta: FloatArray) -> tuple[Score, ...]:
         """Scores on held-out windows: as long as can be counted, short ones, and as long as the metric's."""

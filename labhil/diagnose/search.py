@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
-from labhil.diagnose.evidence import effective_samples, search_p_value
+from labhil.diagnose.evidence import best_heldout_gain, effective_samples, search_p_value
 from labhil.diagnose.foretold import compare
 from labhil.diagnose.found import Found, Trail
-from labhil.diagnose.judge import Data, supported
+from labhil.diagnose.judge import ALPHA, Data, supported
 from labhil.diagnose.refit import confirm, finish_best, refit
 from labhil.diagnose.screen import Candidate, Progress, candidates, rank
 from labhil.diagnose.weigh import ON_THE_WAY, pruned, relevant, supported_only, swapped
@@ -24,8 +24,17 @@ from labhil.identify.fitted import WORST_GROWTH, Fitted, climb
 SETTLED = 1.05
 """A fit whose residuals are at most this much above the noise has found what it could."""
 
-LONGER = (2.0, 4.0)
-"""The last fits are on windows that are this much longer than those of the search: they know more."""
+LONGER, MIDDLE = 4.0, 2.0
+"""The last fits are on windows that are this much longer than those of the search: they know more.
+
+On the shorter ones where a model does not hold on the longer ones.
+"""
+
+MUCH_LONGER, WHOLE_GROWTH = 1.5, 1.1
+"""How much longer a whole recording has to be to be worth the way, and how much more noise it may leave.
+
+A window's own initial state takes up what is slow in it; a whole recording has one.
+"""
 
 CONFIRMED = 5
 """How many of the screened candidates are refitted at each step."""
@@ -98,25 +107,48 @@ class Hunt:
             self.progress(f"found {', '.join(t for t in trail.current.terms if t not in self.base)}")
 
     def follow_on_longer_windows(self, trail: Trail) -> tuple[Data, Fitted]:
-        """Go on from there on the longest windows; the data with those that the answer stands on.
+        """Go on from there on longer windows; the data with those that the answer stands on.
 
         With the baseline refitted to these.
         """
         short = trail.current
-        longest = replace(self.data, window=self._reach(LONGER[-1]))
+        longer = self._on_windows(self._reach(LONGER))
         # what gave way on short windows may be right on long ones
-        trail.begin(_onward(longest, short))
-        onward = replace(self, data=longest, baseline=_onward(longest, self.baseline))
-        onward.follow(trail, only_promising=True)
+        trail.begin(onward(longer.data, short))
+        longer.follow(trail, only_promising=True)
         # noise that drives the plant itself, or a force without a name, biases what long windows say
         if trail.current.noise <= WORST_GROWTH * short.noise:
-            return longest, onward.baseline
-        middle = replace(self.data, window=self._reach(LONGER[0]))
-        trail.current = _onward(middle, short)
+            longest = longer._followed_on_the_whole(trail)
+            return longest.data, longest.baseline
+        middle = self._on_windows(self._reach(MIDDLE))
+        trail.current = onward(middle.data, short)
         if trail.current.noise <= WORST_GROWTH * short.noise:
-            return middle, _onward(middle, self.baseline)
+            return middle.data, middle.baseline
         trail.current = short
-        return self.data, _onward(self.data, self.baseline)
+        return self.data, onward(self.data, self.baseline)
+
+    def _followed_on_the_whole(self, trail: Trail) -> Hunt:
+        """Go on where each recording is one window, if a fit there foretells held-out data better."""
+        length = self.data.search.longest
+        if length < MUCH_LONGER * self.data.window:
+            return self
+        data = replace(self.data, window=length)
+        current = onward(data, trail.current)
+        if current.noise > WHOLE_GROWTH * trail.current.noise:
+            return self
+        scores = (self.data.judge(fitted.theta) for fitted in (trail.current, current))
+        if best_heldout_gain(*scores)[1] >= ALPHA:
+            return self
+        self.progress("refitting on whole recordings")
+        trail.begin(current)
+        whole = self._on_windows(length)
+        whole.follow(trail, only_promising=True)
+        return whole
+
+    def _on_windows(self, length: float) -> Hunt:
+        """The same on windows of another length (s), the baseline refitted to these."""
+        data = replace(self.data, window=length)
+        return replace(self, data=data, baseline=onward(data, self.baseline))
 
     def pruned(self, data: Data, current: Fitted) -> Fitted:
         """Without the found terms that these data no longer need."""
@@ -157,7 +189,7 @@ class Hunt:
         return _first_accepted(self.data, current, trials, self.looks), trials
 
 
-def _onward(data: Data, fitted: Fitted) -> Fitted:
+def onward(data: Data, fitted: Fitted) -> Fitted:
     """Refit on the data's windows.
 
     Where that leaves more than noise, the same terms begin anew, from their own starts: a search adds
@@ -165,12 +197,20 @@ def _onward(data: Data, fitted: Fitted) -> Fitted:
     """
     model, record, terms, sigma = data.model, data.search, fitted.terms, data.sigma
     held = data.held
-    onward = climb(model, record, terms, [data.window], sigma, start=fitted.theta, fresh=(), held=held)[-1]
-    if onward.noise < SETTLED:
-        return onward
+    further = climb(model, record, terms, [data.window], sigma, start=fitted.theta, fresh=(), held=held)[-1]
+    if further.noise < SETTLED:
+        return further
     lengths = [share * data.window for share in (0.25, 0.5, 1.0)]
     anew = climb(model, record, terms, lengths, sigma, start=data.begin, fresh=terms, held=held)[-1]
-    return min(onward, anew, key=lambda candidate: candidate.solution.cost)
+    return min(further, anew, key=lambda candidate: candidate.solution.cost)
+
+
+def on_several_windows(data: Data, found: Found) -> Found:
+    """The same where windows can be left out in turn, as a curve asks for: not on whole recordings."""
+    data = replace(data, window=LONGER * data.window)
+    if found.final.window < MUCH_LONGER * data.window or not data.model.state_names:
+        return found
+    return replace(found, baseline=onward(data, found.baseline), final=onward(data, found.final))
 
 
 def _first_accepted(data: Data, current: Fitted, trials: Sequence[Fitted], looks: int) -> Fitted | None:

@@ -77,8 +77,7 @@ def answer_of(found: Composed, name: str, recordings: dict[str, str]) -> Answer:
     known = _known(found)
     full = [*baseline, *known]
     without = {name: oracle.refit([term for term in full if term != name]) for name in known}
-    # what is within a model can never explain less than the model; a search may miss that
-    theta = min([oracle.refit(full), *without.values()], key=lambda found: found.cost).theta
+    theta = oracle.refit(full).or_better(*without.values()).theta
     floors = oracle.floors(theta, oracle.marks(theta))
     plain = oracle.refit(baseline).theta if known else theta
     return Answer(

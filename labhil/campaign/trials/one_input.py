@@ -30,6 +30,11 @@ MEASUREMENT = ("quantisation", "pwm_ripple")
 """Effects of a plant that belong to the bench's conditions."""
 FINEST_BITS = 16.0
 """Of the ball and beam's converter, which is always there."""
+BEFORE = 100
+"""Samples before a recording, in which the rig stands at the centre of its excitation.
+
+No recording says what was under way in a delay, a lag or a coil before it began.
+"""
 HEADROOM = 1.25
 """Full scale of a converter over the largest value it was expected to see."""
 
@@ -223,7 +228,7 @@ class OneInputSetup:
     def _walk(
         self, secret: Secret, which: int, measured: Mapping[str, float], commands: FloatArray | None = None
     ) -> Walk:
-        """Step through one recording; ``commands`` (n + 1,) take the place of excitation and controller."""
+        """Step through one recording; ``commands`` (BEFORE + n + 1,) replace excitation and controller."""
         bench, made, n = self.bench, self.conditions, self.bench.samples[which]
         seed = made.seeds[which]
         jitter = 0.0 if _counts_samples(secret) else made.jitter * bench.period
@@ -232,37 +237,40 @@ class OneInputSetup:
         loop = bench.loops[made.loop]
         t: FloatArray = bench.period * np.arange(n + 1, dtype=np.float64)
         excitation = excitation_of(made.excitation, t, loop, np.random.default_rng([seed, 1]))
+        excitation = np.r_[np.full(BEFORE, excitation[0]), excitation]
         law = Law(loop.controller, bench.period)
         if commands is None and not loop.closed:
             commands = np.array([law.command(value, 0.0) for value in excitation.tolist()])
         if commands is not None:
             return _followed(plant, commands, KINDS[bench.kind].inputs[0])
         rows: list[Mapping[str, float]] = []
-        stamps, sent, seen = np.empty(n + 1), np.empty(n + 1), 0.0
-        for k in range(n + 1):
-            sent[k] = law.command(float(excitation[k]), seen)
+        sent, seen = np.empty(len(excitation)), 0.0
+        stamps = np.empty(len(excitation))
+        for k, wanted in enumerate(excitation.tolist()):
+            sent[k] = law.command(wanted, seen)
             rows.append(plant.step(float(sent[k])))
             stamps[k] = plant.time
             seen = rows[-1][bench.outputs[0]]
-        source = KINDS[bench.kind].inputs[0]
-        signals = {name: np.array([row[name] for row in rows[:-1]]) for name in rows[0]}
-        return Walk(stamps[:-1] - stamps[0], sent, {source.name: _acting(sent, source)} | signals)
+        source, rows, stamps = KINDS[bench.kind].inputs[0], rows[BEFORE:-1], stamps[BEFORE:-1]
+        signals = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+        return Walk(stamps - stamps[0], sent, {source.name: _acting(sent, source)} | signals)
 
 
 def _followed(plant: Plant, sent: FloatArray, source: Signal) -> Walk:
-    """What a plant does at commands (n + 1,) that are known beforehand."""
-    plant.step(float(sent[0]))
+    """What a plant does at commands (n + 1,) that are known beforehand, those before the recording first."""
+    for value in sent[: BEFORE + 1].tolist():
+        plant.step(value)
     acting = _acting(sent, source)
     run = plant.simulate(acting)
     return Walk(run.t, sent, {source.name: acting, **run.measured})
 
 
 def _acting(sent: FloatArray, source: Signal) -> FloatArray:
-    """The input (n,) beside each sample, of the commands (n + 1,).
+    """The input (n,) beside each sample, of the commands (n + 1,) and those before the recording.
 
     A command that is held acts after the sample beside which it stands, another has just been reached.
     """
-    return sent[1:] if source.hold is Hold.ZERO else sent[:-1]
+    return sent[BEFORE + 1 :] if source.hold is Hold.ZERO else sent[BEFORE:-1]
 
 
 def _counts_samples(secret: Secret) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from labhil.campaign.trials.noise import LeftNoise, TrueNoise
-from labhil.identify.fitted import climb, start_theta
+from labhil.identify.fitted import WORST_GROWTH, Fitted, climb, fit_terms, start_theta
 from labhil.identify.problem import Point, Problem
 from labhil.identify.score import Score, score
 from labhil.identify.window_states import settled_states
@@ -20,7 +20,8 @@ from labhil.signals import FloatArray, IntArray
 RUNGS = (0.5, 1.5)
 """Lengths of the windows of a refit, in scored horizons; the last as long as those of a likelihood.
 
-Where nothing but the measurement is noisy, shorter windows would throw away what the data know.
+After them comes the whole recording, if it is explained about as well: nothing but the measurement is noisy,
+and every window's own initial state takes away of what the data know.
 """
 JUDGED = 1.5
 """Length of the windows of a likelihood, in scored horizons: a lead-in and a scored stretch."""
@@ -31,10 +32,23 @@ MOST_CARRIED = 100.0
 
 @dataclass(frozen=True, slots=True)
 class Refit:
-    """A model's vector fitted to the search data, and the sum of its squared residuals there."""
+    """A vector fitted to the search data on windows (s), and the sum of its squared residuals there."""
 
     theta: FloatArray
     cost: float
+    window: float
+
+    @classmethod
+    def of(cls, fitted: Fitted) -> Refit:
+        """What counts of a fit."""
+        return cls(fitted.theta, fitted.solution.cost, fitted.window)
+
+    def or_better(self, *within: Refit) -> Refit:
+        """The best of this and of models within it on the same windows.
+
+        What is within a model can never explain less than the model; a search may miss that.
+        """
+        return min([self, *(r for r in within if r.window == self.window)], key=lambda refit: refit.cost)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,11 +88,17 @@ class Oracle:
         known = {k: v for k, v in self.values.items() if k in own}
         # windows are there for the sake of their initial states
         lengths = [share * self.horizon for share in RUNGS] if self._states else [self.search.longest]
-        rungs = climb(
+        on_windows = climb(
             self.model, self.search, terms, lengths, self.sigma,
             start=start_theta(self.model, known), fresh=fresh,
+        )[-1]  # fmt: skip
+        if not self._states:
+            return Refit.of(on_windows)
+        whole = fit_terms(
+            self.model, self.search, terms, self.search.longest, self.sigma,
+            start=on_windows.theta, starts=[{}, known],
         )  # fmt: skip
-        return Refit(rungs[-1].theta, rungs[-1].solution.cost)
+        return Refit.of(whole if whole.noise <= WORST_GROWTH * on_windows.noise else on_windows)
 
     def marks(self, theta: FloatArray) -> Score:
         """A vector's score on the test data."""

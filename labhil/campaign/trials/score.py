@@ -113,9 +113,7 @@ class Bystander:
         others = [name for name in self.full if name != effect.key]
         without = oracle.refit(others)
         new = [] if rival in others else [rival]
-        tried = oracle.refit([*others, *new], new)
-        # what is within a model can never explain less than the model; a search may miss that
-        best = min(tried, without, key=lambda found: found.cost)
+        best = oracle.refit([*others, *new], new).or_better(without)
         known, instead = (oracle.log_likelihood(found.theta) for found in (without, best))
         return effect.oracle_gain - (instead - known)
 
