@@ -13,9 +13,10 @@ from typer.testing import CliRunner
 from labhil.campaign.share import Share
 from labhil.campaign.trials import run
 from labhil.campaign.trials.answer import Answer, TrueEffect
+from labhil.campaign.trials.bench import bench_of
 from labhil.campaign.trials.calibrate import claimed_in
 from labhil.campaign.trials.card import count, reliabilities
-from labhil.campaign.trials.compose import compose
+from labhil.campaign.trials.compose import compose, composed
 from labhil.campaign.trials.folder import read_index
 from labhil.campaign.trials.judge import judge
 from labhil.campaign.trials.make import Order, answers_beside, make_trial, make_trials
@@ -26,9 +27,14 @@ from labhil.campaign.trials.run import run_trials
 from labhil.campaign.trials.said import Regime, said_in
 from labhil.campaign.trials.score import score_trials
 from labhil.campaign.trials.seal import open_envelope, seal, write_envelope
+from labhil.campaign.trials.secret import Drawn, Secret
 from labhil.campaign.trials.stepwise import log_ways
 from labhil.cli import app
 from labhil.errors import UnknownNameError, UsageError
+from labhil.identify.fitted import start_theta
+from labhil.identify.window_states import held_at
+from labhil.identify.windows import fit_windows
+from labhil.physics.rigs import rig_model
 from labhil.recording.reader import read_recording
 
 NOTHING = {
@@ -457,3 +463,26 @@ def test_a_set_made_by_the_command_says_that_its_seed_is_fixed(tmp_path):
         Answer.from_json(open_envelope(tmp_path / "set-answers" / "001.json", index.trials[0].seal)).effects
         == ()
     )
+
+
+def test_an_oracle_learns_from_whole_recordings():
+    random = np.random.default_rng(7)
+    oracle = compose("axis", "0", random).oracle
+    baseline = rig_model("axis").baseline
+    refit = oracle.refit(baseline)
+    assert refit.window == oracle.search.longest
+    truth = start_theta(oracle.model, oracle.values)
+    # four parameters, each worth half a nat on average, of noise with neighbours that are alike
+    assert oracle.log_likelihood(refit.theta) > oracle.log_likelihood(truth) - 20.0
+
+
+def test_a_rig_stands_at_the_centre_of_its_excitation_before_it_is_recorded():
+    random = np.random.default_rng(3)
+    setup = bench_of("solenoid").setup(random)
+    bare = Secret(setup, setup.draw_base(random))
+    delay = Drawn("time_delay", {"time_delay.delay": 0.012}, {"time_delay.delay": 1}, 3.0)
+    oracle = composed(replace(bare, effects=(delay,)), setup.loudness(bare)).oracle
+    # what a delay holds as a recording begins is as recorded: else the first window is off by far more
+    theta, windows = start_theta(oracle.model, oracle.values), fit_windows(oracle.search, oracle.horizon)
+    found = held_at(oracle.model, theta, oracle.search, windows, oracle.sigma)
+    assert np.sqrt(np.mean(found.residuals**2)) < 2.0
