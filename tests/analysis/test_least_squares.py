@@ -92,7 +92,8 @@ def test_the_bounded_minimum_is_that_of_the_whole_linear_problem(a, b, lower, up
     assert np.all((theta >= lower - 1e-12) & (theta <= upper + 1e-12))
     assert solution.converged
     assert solution.cost == pytest.approx(2.0 * exact.cost, rel=1e-5)
-    assert np.allclose(theta, exact.x[:2], atol=2e-4)
+    # near a bound: where the cost is within 1e-6 of the least, a parameter is within a fiftieth of its error
+    assert np.allclose(theta, exact.x[:2], atol=1e-3)
 
 
 def test_every_step_that_is_taken_lowers_the_cost():
