@@ -232,9 +232,7 @@ def _still_needed(wider: Data, found: Found, again: Found) -> bool:
     """
     if not found.missing:
         return False
-    first = onward(replace(wider, window=again.final.window), found.final)
-    effective = min(effective_samples(first), effective_samples(again.final))
-    return bic(first, effective) - bic(again.final, effective) < NEEDED_BIC
+    return _far_likelier(onward(replace(wider, window=again.final.window), found.final), again.final)
 
 
 def _marked(data: Data, found: Found) -> Score:
@@ -281,8 +279,13 @@ def _simpler(free: Found, held: Found) -> Found:
     Refitted sizes may absorb what is missing: a load at the flange is a change of many inertias. Held ones
     would have missing physics make up for a size that has changed: that account needs very strong evidence.
     """
-    effective = min(effective_samples(free.final), effective_samples(held.final))
-    return held if bic(held.final, effective) - bic(free.final, effective) < NEEDED_BIC else free
+    return held if _far_likelier(held.final, free.final) else free
+
+
+def _far_likelier(one: Fitted, other: Fitted) -> bool:
+    """Whether the searched data speak very strongly for one fit over another on the same windows."""
+    effective = min(effective_samples(one), effective_samples(other))
+    return bic(one, effective) - bic(other, effective) < NEEDED_BIC
 
 
 def _excited(record: Record, sigma: np.ndarray) -> bool:

@@ -112,7 +112,7 @@ class Hunt:
         With the baseline refitted to these.
         """
         short = trail.current
-        longer = self._on_windows(self._reach(LONGER))
+        longer = self._on(self._windows(LONGER))
         # what gave way on short windows may be right on long ones
         trail.begin(onward(longer.data, short))
         longer.follow(trail, only_promising=True)
@@ -120,19 +120,18 @@ class Hunt:
         if trail.current.noise <= WORST_GROWTH * short.noise:
             longest = longer._followed_on_the_whole(trail)
             return longest.data, longest.baseline
-        middle = self._on_windows(self._reach(MIDDLE))
-        trail.current = onward(middle.data, short)
+        middle = self._windows(MIDDLE)
+        trail.current = onward(middle, short)
         if trail.current.noise <= WORST_GROWTH * short.noise:
-            return middle.data, middle.baseline
+            return middle, onward(middle, self.baseline)
         trail.current = short
         return self.data, onward(self.data, self.baseline)
 
     def _followed_on_the_whole(self, trail: Trail) -> Hunt:
         """Go on where each recording is one window, if a fit there foretells held-out data better."""
-        length = self.data.search.longest
-        if length < MUCH_LONGER * self.data.window:
+        data = self._windows(float("inf"))
+        if data.window < MUCH_LONGER * self.data.window:
             return self
-        data = replace(self.data, window=length)
         current = onward(data, trail.current)
         if current.noise > WHOLE_GROWTH * trail.current.noise:
             return self
@@ -141,13 +140,12 @@ class Hunt:
             return self
         self.progress("refitting on whole recordings")
         trail.begin(current)
-        whole = self._on_windows(length)
+        whole = self._on(data)
         whole.follow(trail, only_promising=True)
         return whole
 
-    def _on_windows(self, length: float) -> Hunt:
-        """The same on windows of another length (s), the baseline refitted to these."""
-        data = replace(self.data, window=length)
+    def _on(self, data: Data) -> Hunt:
+        """The same on other windows, the baseline refitted to these."""
         return replace(self, data=data, baseline=onward(data, self.baseline))
 
     def pruned(self, data: Data, current: Fitted) -> Fitted:
@@ -159,8 +157,9 @@ class Hunt:
         """Of what is worth telling: in a linear problem no step leads through a valley to another one."""
         return ON_THE_WAY if self.data.model.state_names else 1.0
 
-    def _reach(self, share: float) -> float:
-        return min(share * self.data.window, self.data.search.longest)
+    def _windows(self, longer: float) -> Data:
+        """The data with windows so many times longer, as far as a recording reaches."""
+        return replace(self.data, window=min(longer * self.data.window, self.data.search.longest))
 
     def _swapped(self, trail: Trail, *, widely: bool) -> bool:
         """Whether a rival took the place of a found term."""

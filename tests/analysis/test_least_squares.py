@@ -84,7 +84,9 @@ def design(record: Record, windows: Windows) -> np.ndarray:
 @given(a=st.floats(-2.0, 2.0), b=st.floats(-2.0, 2.0), lower=st.floats(-1.5, 0.0), upper=st.floats(0.6, 1.5))
 def test_the_bounded_minimum_is_that_of_the_whole_linear_problem(a, b, lower, upper):
     record, windows = measured(a, b, 1)
-    problem, solution = solved(record, windows, lower, upper)
+    problem, _ = solved(record, windows, lower, upper)
+    # near a bound the usual tolerance of the cost, 1e-6, leaves a parameter a fiftieth of its error away
+    solution = least_squares(problem, problem.start(), tolerance=1e-9)
     matrix, limits = design(record, windows), np.full(2 * COUNT, np.inf)
     bounds = (np.r_[lower, lower, -limits], np.r_[upper, upper, limits])
     exact = lsq_linear(matrix / SIGMA, record.outputs[:, 0] / SIGMA, bounds, tol=1e-14)
@@ -92,8 +94,7 @@ def test_the_bounded_minimum_is_that_of_the_whole_linear_problem(a, b, lower, up
     assert np.all((theta >= lower - 1e-12) & (theta <= upper + 1e-12))
     assert solution.converged
     assert solution.cost == pytest.approx(2.0 * exact.cost, rel=1e-5)
-    # near a bound: where the cost is within 1e-6 of the least, a parameter is within a fiftieth of its error
-    assert np.allclose(theta, exact.x[:2], atol=1e-3)
+    assert np.allclose(theta, exact.x[:2], atol=2e-4)
 
 
 def test_every_step_that_is_taken_lowers_the_cost():

@@ -244,8 +244,7 @@ class OneInputSetup:
         if commands is not None:
             return _followed(plant, commands, KINDS[bench.kind].inputs[0])
         rows: list[Mapping[str, float]] = []
-        sent, seen = np.empty(len(excitation)), 0.0
-        stamps = np.empty(len(excitation))
+        sent, stamps, seen = np.empty(len(excitation)), np.empty(len(excitation)), 0.0
         for k, wanted in enumerate(excitation.tolist()):
             sent[k] = law.command(wanted, seen)
             rows.append(plant.step(float(sent[k])))
@@ -257,7 +256,7 @@ class OneInputSetup:
 
 
 def _followed(plant: Plant, sent: FloatArray, source: Signal) -> Walk:
-    """What a plant does at commands (n + 1,) that are known beforehand, those before the recording first."""
+    """What a plant does at commands (BEFORE + n + 1,) that are known beforehand."""
     for value in sent[: BEFORE + 1].tolist():
         plant.step(value)
     acting = _acting(sent, source)
@@ -266,7 +265,7 @@ def _followed(plant: Plant, sent: FloatArray, source: Signal) -> Walk:
 
 
 def _acting(sent: FloatArray, source: Signal) -> FloatArray:
-    """The input (n,) beside each sample, of the commands (n + 1,) and those before the recording.
+    """The input (n,) beside each sample, of the commands (BEFORE + n + 1,).
 
     A command that is held acts after the sample beside which it stands, another has just been reached.
     """
