@@ -20,6 +20,7 @@ from labhil.diagnose.rest import UNEXPLAINED, left_by, stands_in, unexplained
 from labhil.diagnose.unmodelled import Unmodelled, unmodelled
 from labhil.identify.fitted import Fitted
 from labhil.identify.kept_curve import under
+from labhil.identify.window_states import States, tried
 from labhil.physics.extra_force import MovedPart, Yielding
 from labhil.physics.model import Model
 from labhil.physics.terms import Enters
@@ -144,7 +145,7 @@ def _or_curve(data: Data, found: Found, part: MovedPart, excess: float) -> tuple
     named = len(_forces(data.model, found))
     chance = 2.0 * max(named - 1, 0) * np.log(found.looks)
     needed = NEEDED_BIC if named < 2 and excess < UNEXPLAINED else 0.0
-    behind = _behind(data, alone, settled(data, found.final))
+    behind = _behind(data, alone, settled(data, found.final, alone.fit))
     return (simpler, alone) if behind - chance < needed else (found, None)
 
 
@@ -193,9 +194,19 @@ def _curve(data: Data, final: Fitted, curves: Sequence[Unmodelled], part: MovedP
     return unmodelled(replace(data, window=final.window), final, part)
 
 
-def settled(data: Data, final: Fitted) -> Fitted:
-    """The same terms where windows have looked for better states, as those under a curve do."""
-    return refit(replace(data, window=final.window), final, final.terms, (), thorough=True)
+def settled(data: Data, final: Fitted, curved: Fitted) -> Fitted:
+    """The same terms where windows have looked for better states, also at those that they have under a curve.
+
+    A curve that only found a window's state would be taken for physics.
+    """
+    searched = refit(replace(data, window=final.window), final, final.terms, (), thorough=True)
+    problem, point = searched.problem, searched.solution.point
+    own = States(point.states, searched.solution.residuals)
+    better = own.or_better(problem, tried(problem, point.z, curved.solution.point.states))
+    if better.cost == own.cost:
+        return searched
+    begun = replace(searched, solution=replace(searched.solution, point=replace(point, states=better.states)))
+    return refit(replace(data, window=final.window), begun, final.terms, ())
 
 
 def _beside(data: Data, final: Fitted, curves: Sequence[Unmodelled]) -> tuple[Data, Fitted]:

@@ -205,15 +205,21 @@ def criterion(curved: Curved, effective: float) -> float:
     """Schwarz's criterion with effective degrees of freedom, at the smoothness that makes it least.
 
     Windows left out in turn hardly tell one smoothness from the next, which degrees of freedom do; one linear
-    step leads from one to the other.
+    step leads from one to the other. What a linear model promises where the curve is and the simulation does
+    not keep, of windows' states at a kink, is not granted elsewhere.
     """
-    joint, fitted = curved.joint, curved.fitted
-    marks = [bic(fitted, effective, curved.degrees, joint)]
+    near, joint = curved.near, curved.joint
+
+    def mark(residuals: FloatArray, degrees: float) -> float:
+        solution = replace(curved.fitted.solution, residuals=residuals)
+        return bic(replace(curved.fitted, solution=solution), effective, degrees, joint)
+
+    kept = curved.fitted.solution.residuals
+    missed = mark(kept, 0.0) - mark(near.left(curved.fitted.solution.point.z), 0.0)
+    marks = [mark(kept, curved.degrees)]
     for weight in SMOOTHING:
-        penalty = _penalty(curved.near, curved.model, weight)
-        residuals = curved.near.left(curved.near.solve(penalty))
-        stepped = replace(fitted, solution=replace(fitted.solution, residuals=residuals))
-        marks.append(bic(stepped, effective, curved.near.degrees(penalty), joint))
+        penalty = _penalty(near, curved.model, weight)
+        marks.append(mark(near.left(near.solve(penalty)), near.degrees(penalty)) + missed)
     return min(marks)
 
 

@@ -193,4 +193,4 @@ def test_a_fit_settles_on_its_own_windows_where_a_recording_has_a_gap() -> None:
     kept = (record.t < 1.0) | (record.t > 1.3)
     gap = replace(record, t=record.t[kept], inputs=record.inputs[kept], outputs=record.outputs[kept])
     data, final = fitted(AXIS_RIG, AXIS_TERMS, gap, test)
-    assert len(settled(data, final).problem.windows) == len(final.problem.windows)
+    assert len(settled(data, final, final).problem.windows) == len(final.problem.windows)
