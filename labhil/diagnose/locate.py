@@ -9,6 +9,7 @@ import numpy as np
 
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score
+from labhil.physics.extra_force import Yielding
 from labhil.physics.model import Metric, Model, Record, Windows
 from labhil.physics.terms import Term
 from labhil.signals import FloatArray
@@ -32,7 +33,10 @@ CLEARER = 0.8
 
 @dataclass(frozen=True, slots=True)
 class Regime:
-    """A range of a coordinate, with the share of the excess squared error in it."""
+    """A range of a coordinate, with the share of the excess squared error in it.
+
+    Where no coordinate tells, it is one of the effect's own force, whose term then stands for the coordinate.
+    """
 
     coordinate: str
     low: float
@@ -85,12 +89,14 @@ Motion = tuple[Record, Windows, FloatArray, np.ndarray]
 
 @dataclass(frozen=True, slots=True)
 class Contribution:
-    """What one term adds along a motion, (N,), and the ``coordinates`` there, (N,) each.
+    """What one ``term`` adds along a motion, (N,), and the ``coordinates`` there, (N,) each.
 
-    ``joint`` is the one that it acts on most, where there are several.
+    ``unit`` is that of a force, "" of anything else; ``joint`` the one that it acts on, of several.
     """
 
+    term: str
     values: FloatArray
+    unit: str
     coordinates: Mapping[str, FloatArray]
     units: Mapping[str, str]
     joint: int | None
@@ -98,20 +104,31 @@ class Contribution:
     def regimes(self, explained: FloatArray | None = None) -> tuple[Regime, ...]:
         """Where most of it lives, as one to three stretches of one coordinate; none if it is everywhere.
 
+        Where no coordinate holds it together, of a force its own sizes do: a ripple lives near its crests.
         That is where it is so large that 80 % of what was ``explained`` (N,) is there (default: its squares).
         """
         squares = self.values**2
         held = squares if explained is None or explained.sum() <= 0.0 else explained
-        large = _level_set(squares, held).astype(np.float64)
-        found = regimes({name: self.coordinates[name] for name in self.units}, large)
-        return tuple(self._told(regime, held) for regime in found)
+        large = _level_set(squares, held)
+        found = regimes({name: self.coordinates[name] for name in self.units}, large.astype(np.float64))
+        return tuple(self._told(regime, held) for regime in found or self._sizes(large))
+
+    def _sizes(self, large: np.ndarray) -> tuple[Regime, ...]:
+        """The sizes of a force where it is ``large`` (N,), by sign; none if that is nearly everywhere."""
+        if not self.unit or not 0.0 < np.mean(large) < MOST_SAMPLES:
+            return ()
+        signs = [self.values[large & (self.values < 0.0)], self.values[large & (self.values > 0.0)]]
+        return tuple(Regime(self.term, float(one.min()), float(one.max()), 0.0) for one in signs if len(one))
 
     def _told(self, regime: Regime, held: FloatArray) -> Regime:
         """A regime with its unit and its share of what is held."""
-        values = self.coordinates[regime.coordinate]
+        own = regime.coordinate == self.term
+        values = self.values if own else self.coordinates[regime.coordinate]
         inside = (values >= regime.low) & (values <= regime.high)
         share = float(np.clip(held[inside].sum() / held.sum(), 0.0, 1.0)) if held.sum() > 0.0 else 0.0
-        return replace(regime, share_of_excess=share, unit=self.units[regime.coordinate])
+        return replace(
+            regime, share_of_excess=share, unit=self.unit if own else self.units[regime.coordinate]
+        )
 
 
 def _level_set(size: FloatArray, held: FloatArray) -> np.ndarray:
@@ -122,20 +139,26 @@ def _level_set(size: FloatArray, held: FloatArray) -> np.ndarray:
 
 
 def lived(
-    final: Fitted, terms: Sequence[str], seen: HeldOut
+    final: Fitted, terms: Sequence[str], seen: HeldOut, joint: int | None
 ) -> tuple[dict[str, Contribution], dict[str, tuple[Regime, ...]]]:
-    """What each of some found terms contributes to held-out data, and the regimes where it lives."""
-    shares = {term: contribution(final, term, seen.motion) for term in terms}
+    """What each of some found terms contributes to held-out data, and the regimes where it lives.
+
+    What belongs to no joint of an arm is told of the ``joint`` that is off the most.
+    """
+    shares = {term: contribution(final, term, seen.motion, joint) for term in terms}
     # where several explain the excess, none of it can be told to be of one of them
     explained = seen.explained(next(iter(shares.values())).joint) if len(shares) == 1 else None
     return shares, {term: share.regimes(explained) for term, share in shares.items()}
 
 
-def contribution(final: Fitted, term: str, motion: Motion | None = None) -> Contribution:
+def contribution(
+    final: Fitted, term: str, motion: Motion | None = None, joint: int | None = None
+) -> Contribution:
     """What a term of the model contributes where it acts, with the ``motion`` as it is (default: the fit's).
 
     A force as a difference of forces; what acts on the way in as the force that it changes, or else as what
     drives the motion; what acts on the way out as a difference of readings.
+    What belongs to no joint of an arm does so on ``joint`` (default: where it does most).
     """
     model, problem = final.problem.model, final.problem
     if motion is None:
@@ -146,6 +169,7 @@ def contribution(final: Fitted, term: str, motion: Motion | None = None) -> Cont
     along = model.coordinates(final.theta, record, windows, states)
     driven = model.driven(less, record, windows, along)
     values = model.effort(final.theta, along) - model.effort(less, {**along, **driven})
+    unit = model.force_unit if isinstance(model, Yielding) and np.any(values) else ""
     if not np.any(values) and driven:
         values = np.column_stack([along[name] - driven[name] for name in driven])
     if not np.any(values):
@@ -153,7 +177,8 @@ def contribution(final: Fitted, term: str, motion: Motion | None = None) -> Cont
         values = values - model.simulate(less, record, windows, states)
     values = values.reshape(len(windows.rows), -1)[counted]
     along = {name: column[counted] for name, column in along.items()}
-    return _of_one_joint(model, values, along, model.terms[term].joint)
+    own = model.terms[term].joint
+    return _of_one_joint(model, term, values, along, unit, joint if own is None else own)
 
 
 def without_sizes(model: Model, theta: FloatArray, term: str) -> FloatArray:
@@ -166,7 +191,12 @@ def without_sizes(model: Model, theta: FloatArray, term: str) -> FloatArray:
 
 
 def _of_one_joint(
-    model: Model, values: FloatArray, along: Mapping[str, FloatArray], joint: int | None
+    model: Model,
+    term: str,
+    values: FloatArray,
+    along: Mapping[str, FloatArray],
+    unit: str,
+    joint: int | None,
 ) -> Contribution:
     """The column of the joint that is acted on, with that joint's coordinates where they are told apart."""
     strongest = int(np.argmax(np.sum(values**2, axis=0)))
@@ -179,7 +209,7 @@ def _of_one_joint(
         elif whole in model.coordinate_units and number == str(column):
             units[name] = model.coordinate_units[whole]
     several = values.shape[1] > 1
-    return Contribution(values[:, column], along, units, column if several else None)
+    return Contribution(term, values[:, column], unit, along, units, column if several else None)
 
 
 def regimes(coordinates: Mapping[str, FloatArray], excess: FloatArray) -> tuple[Regime, ...]:
@@ -295,6 +325,7 @@ def statement(channel: str, strongest: Term, regimes: Mapping[str, tuple[Regime,
     term, stretches = named
     share = sum(regime.share_of_excess for regime in stretches)
     between = " or ".join(f"between {r.low:.3g} and {r.high:.3g}" for r in stretches).replace("-", "−")
-    where = f"{stretches[0].coordinate} {between} {stretches[0].unit}".rstrip()
-    lives = f"{100 * share:.0f} % of {term} lives at {where}"
+    coordinate = stretches[0].coordinate
+    at = "where it is" if coordinate == term else f"at {coordinate}"
+    lives = f"{100 * share:.0f} % of {term} lives {at} {between} {stretches[0].unit}".rstrip()
     return f"{begin}; {lives}."

@@ -152,8 +152,8 @@ def _named_location(found: Found, before: Score, after: Score, held_out: Record)
     strongest = model.terms[found.missing[0].terms[0]]
     seen = locate.HeldOut(held_out, before, after)
     terms = [step.terms[0] for step in found.missing]
-    _, regimes = locate.lived(found.final, terms, seen)
     channel, joint = _channel(before, after)
+    _, regimes = locate.lived(found.final, terms, seen, joint)
     times, recordings = locate.times(before, after, held_out)
     return locate.Location(
         channel=channel,

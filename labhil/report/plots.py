@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -106,21 +107,30 @@ def _draw_missing(axes: Axes, diagnosis: Diagnosis) -> None:
         return
     seen = locate.HeldOut(diagnosis.held_out, diagnosis.before, diagnosis.after)
     terms = [keyed(item.term, item.joint) for item in diagnosis.missing]
-    shares, regimes = locate.lived(diagnosis.final_fit, terms, seen)
+    joint = diagnosis.location.joint if diagnosis.location is not None else None
+    shares, regimes = locate.lived(diagnosis.final_fit, terms, seen, joint)
     term = next((term for term, found in regimes.items() if found), next(iter(shares)))
     units = shares[term].units
-    name = regimes[term][0].coordinate if regimes[term] else next(iter(units))
+    over = [regime.coordinate for regime in regimes[term]]
+    name = over[0] if over and over[0] in units else next(iter(units))
     for i, (key, share) in enumerate(shares.items()):
-        # several are in several units and sizes: each over its own largest value
-        largest = float(np.max(np.abs(share.values))) if len(shares) > 1 else 1.0
+        largest = _shown_over(shares, key)
         told = f"{key}, up to {largest:.3g}" if len(shares) > 1 else key
-        values = share.values / max(largest, 1e-300)
-        axes.scatter(share.coordinates[name], values, s=6, color=f"C{i}", alpha=0.5, lw=0, label=told)
+        axes.scatter(
+            share.coordinates[name], share.values / largest, s=6, color=f"C{i}", alpha=0.5, lw=0, label=told
+        )
     for number, regime in enumerate(regimes[term]):
         label = f"where most of {term} lives" if number == 0 else None
-        axes.axvspan(regime.low, regime.high, color=BEFORE, alpha=0.15, label=label)
+        # a regime of its own force lies across the picture
+        span, size = (axes.axvspan, 1.0) if name in over else (axes.axhspan, _shown_over(shares, term))
+        span(regime.low / size, regime.high / size, color=BEFORE, alpha=0.15, label=label)
     effort = "missing effects, over their largest" if len(shares) > 1 else "missing effect, where it acts"
     finish(axes, "What the baseline leaves out", f"{name}, {units[name]}", effort)
+
+
+def _shown_over(shares: Mapping[str, locate.Contribution], term: str) -> float:
+    """What a term is drawn over: several are in several units and sizes, each over its own largest value."""
+    return max(float(np.max(np.abs(shares[term].values))), 1e-300) if len(shares) > 1 else 1.0
 
 
 def _draw_curve(axes: Axes, curve: Curve) -> None:

@@ -154,6 +154,23 @@ def test_a_regime_may_be_in_two_stretches():
     assert low.share_of_excess + high.share_of_excess >= 0.8
 
 
+def test_what_no_coordinate_holds_together_lives_at_sizes_of_its_own_force():
+    """A ripple of many waves: near its crests, where four fifths of the squares of a sine are."""
+    x = np.linspace(-1.0, 1.0, 4001)
+    wave = 3.0 * np.sin(200.0 * x)
+    share = locate.Contribution("torque_ripple[1]", wave, "N·m", {"q_1": x}, {"q_1": "rad"}, 1)
+    low, high = share.regimes()
+    assert {low.coordinate, high.coordinate} == {"torque_ripple[1]"}
+    assert {low.unit, high.unit} == {"N·m"}
+    assert (low.low, high.high) == pytest.approx((-3.0, 3.0), abs=1e-3)
+    # of sin², the share above |sin| = c is 2·(a + sin(2a)/2)/π with a = arccos c
+    half = math.acos(high.low / 3.0)
+    assert 2.0 * (half + math.sin(2.0 * half) / 2.0) / math.pi == pytest.approx(0.8, abs=0.01)
+    assert low.share_of_excess + high.share_of_excess == pytest.approx(0.8, abs=0.01)
+    assert replace(share, unit="").regimes() == ()
+    assert replace(share, values=np.sign(wave)).regimes() == ()
+
+
 def test_correlated_residuals_are_worth_fewer():
     random = np.random.default_rng(2)
     white = random.standard_normal(20_000)

@@ -389,6 +389,8 @@ def test_a_regime_is_the_smallest_set_that_holds_four_fifths_of_the_excess():
     assert true.tolist() == [False, False, True, True, False]
     told = inside({"v": np.arange(5.0)}, [Regime("v", 2.0, 2.5)])
     assert agreement(true, told) == pytest.approx(0.5)
+    own_force = inside({"ripple": np.arange(-2.0, 3.0)}, [Regime("ripple", 0.5, 1.5)], "ripple")
+    assert own_force.tolist() == [False, False, False, True, True]
     assert level_set(own, np.ones(5)) is None
 
 

@@ -42,12 +42,13 @@ def overlap(oracle: Oracle, term: str, others: Sequence[str], said: Said) -> flo
         for vector in (theta, less)
     )
     fed = {**here, **{name: values for name, values in there.items() if name.startswith(BEHIND)}}
-    own = np.abs(oracle.model.effort(theta, here) - oracle.model.effort(less, fed))
+    own = oracle.model.effort(theta, here) - oracle.model.effort(less, fed)
     joint = oracle.model.terms[term].joint
     joint = said.joint if joint is None else joint
+    own = own[:, joint] if own.ndim == 2 else own
     here_only = [j for j, c in enumerate(with_it.channels) if joint is None or c.joint in (None, joint)]
-    true = level_set(own[:, joint] if own.ndim == 2 else own, excess[:, here_only].sum(axis=1))
-    return None if true is None else agreement(true, inside(here, said.regimes))
+    true = level_set(np.abs(own), excess[:, here_only].sum(axis=1))
+    return None if true is None else agreement(true, inside({**here, term: own}, said.regimes, term))
 
 
 def level_set(own: FloatArray, excess: FloatArray) -> np.ndarray | None:
@@ -62,14 +63,23 @@ def level_set(own: FloatArray, excess: FloatArray) -> np.ndarray | None:
     return chosen if chosen.mean() <= WIDEST else None
 
 
-def inside(coordinates: Mapping[str, FloatArray], reported: Sequence[Regime]) -> np.ndarray:
-    """Which samples lie in any of the reported regimes."""
+def inside(
+    coordinates: Mapping[str, FloatArray], reported: Sequence[Regime], term: str | None = None
+) -> np.ndarray:
+    """Which samples lie in any of the reported regimes.
+
+    Those over the effect's own force, by the name of its ``term``, say from which size on: they reach as far
+    as that force does.
+    """
     n = len(next(iter(coordinates.values())))
     chosen = np.zeros(n, dtype=bool)
     for regime in reported:
-        if regime.coordinate in coordinates:
-            x = coordinates[regime.coordinate]
-            chosen |= (x >= regime.low) & (x <= regime.high)
+        if regime.coordinate not in coordinates:
+            continue
+        x, low, high = coordinates[regime.coordinate], regime.low, regime.high
+        if regime.coordinate == term:
+            low, high = (low, np.inf) if low > 0.0 else (-np.inf, high)
+        chosen |= (x >= low) & (x <= high)
     return chosen
 
 
