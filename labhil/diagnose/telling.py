@@ -39,7 +39,7 @@ def missing(
     (key,) = step.terms
     term = model.terms[key]
     rows = [row for row in final if (row.term, row.joint) == (term.name, term.joint)]
-    sizes = ", ".join(f"{_short(row)} = {row.value:.4g} {row.unit}" for row in rows)
+    sizes = ", ".join(f"{_short(row)} = {row.value:.4g} {_unit(row)}".rstrip() for row in rows)
     rivals = [r for r in found.rivals if r.instead_of == key]
     at = "" if term.joint is None else f" of joint {term.joint}"
     return Missing(
@@ -53,6 +53,10 @@ def missing(
     )
 
 
+def _unit(row: Estimate) -> str:
+    return "" if row.unit == "1" else row.unit
+
+
 def _together(fitted: Fitted, rows: Sequence[Estimate]) -> str:
     """The sum or difference of two sizes where only that is known: how wide a dead zone is, not where."""
     if len(rows) != 2 or rows[0].unit != rows[1].unit or any(row.significant for row in rows):
@@ -63,7 +67,8 @@ def _together(fitted: Fitted, rows: Sequence[Estimate]) -> str:
     robust, _, _ = covariances(fitted)
     own = [keys.index(row.key) for row in rows]
     name, value, error = sum_or_difference(np.array([row.value for row in rows]), robust[np.ix_(own, own)])
-    return f" Only their {name} is known: {value:.4g} ± {quantile() * error:.2g} {rows[0].unit} (99 %)."
+    known = f"{value:.4g} ± {quantile() * error:.2g} {_unit(rows[0])}".rstrip()
+    return f" Only their {name} is known: {known} (99 %)."
 
 
 def sum_or_difference(values: FloatArray, covariance: FloatArray) -> tuple[str, float, float]:

@@ -15,8 +15,11 @@ from labhil.identify.score import ChannelScore, Figures, Score
 from labhil.identify.statistics import Estimate
 from labhil.physics.model import Metric
 from labhil.physics.terms import keyed
-from labhil.report.html.quantity import squared
+from labhil.report.html.quantity import quantity, squared
+from labhil.report.limits import OfJoints, joints_in, of_joints
 from labhil.report.verdicts import VERDICTS
+
+NOT_THERE = "Not there, or smaller than this (99 %)"
 
 
 def show_fit(fit: Fit, console: Console, numbered: Sequence[str] = ()) -> None:
@@ -251,14 +254,41 @@ def _improvement(diagnosis: Diagnosis) -> Iterator[RenderableType]:
 
 def _not_found(diagnosis: Diagnosis) -> Iterator[RenderableType]:
     """What is not there or too small to tell, and what cannot be decided, by reason."""
-    if diagnosis.excluded:
+    whole = [e for e in diagnosis.excluded if e.joint is None]
+    if whole:
         limits = [
-            f"{keyed(e.term, e.joint, e.recording)} {e.largest_hidden:.2g} {e.unit}"
-            for e in diagnosis.excluded
+            f"{keyed(e.term, None, e.recording)} {quantity(e.largest_hidden, e.unit, 2)}" for e in whole
         ]
-        yield Text(f"Not there, or smaller than this (99 %): {', '.join(limits)}", style="dim")
-    by_reason: dict[str, list[str]] = {}
+        yield Text(f"{NOT_THERE}: {', '.join(limits)}", style="dim")
+    rows = of_joints(diagnosis.excluded)
+    if rows:
+        yield _joints_table(rows)
+    by_reason: dict[str, dict[str, list[str]]] = {}
     for undecided in diagnosis.undecided:
-        by_reason.setdefault(undecided.reason, []).append(keyed(undecided.term, undecided.joint))
-    for reason, names in by_reason.items():
+        joints = by_reason.setdefault(undecided.reason, {}).setdefault(undecided.term, [])
+        joints += [] if undecided.joint is None else [str(undecided.joint)]
+    for reason, terms in by_reason.items():
+        names = [f"{term}[{', '.join(joints)}]" if joints else term for term, joints in terms.items()]
         yield Text(f"Undecided: {', '.join(names)}: {reason}.", style="dim")
+
+
+def _joints_table(rows: Sequence[OfJoints]) -> Table:
+    """What could still hide, a column for each joint."""
+    table = Table(
+        title=f"{NOT_THERE}, by joint",
+        title_justify="left",
+        title_style="dim",
+        style="dim",
+        header_style="dim",
+        box=None,
+        pad_edge=False,
+    )
+    joints = joints_in(rows)
+    table.add_column("effect")
+    for joint in joints:
+        table.add_column(str(joint), justify="right")
+    table.add_column("unit")
+    for row in rows:
+        cells = [quantity(row.largest.get(joint), digits=2) for joint in joints]
+        table.add_row(row.term, *cells, row.unit if row.unit != "1" else "")
+    return table

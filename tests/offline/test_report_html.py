@@ -184,6 +184,20 @@ def test_the_page_of_a_diagnosis_says_what_the_diagnosis_says(page, diagnosis):
         assert said in text, said
 
 
+def test_what_is_not_there_of_an_arm_stands_by_joint(page, diagnosis):
+    limits = [("torque_ripple", 0, 0.035), ("torque_ripple", 2, 0.0058), ("torque_constant", 2, 0.0025)]
+    units = {"torque_ripple": "N·m", "torque_constant": "1"}
+    diagnosis["excluded"] += [
+        {"term": t, "joint": j, "largest_hidden": size, "unit": units[t], "confidence": 0.99}
+        for t, j, size in limits
+    ]
+    text = page(diagnosis).text
+    table = text[text.index("The same by joint") :]
+    told = ("Joint 0", "Joint 2", "torque_ripple", "0.035", "0.0058", "N·m", "torque_constant", "–", "0.0025")
+    places = [table.index(said) for said in told]
+    assert places == sorted(places)
+
+
 def test_the_page_of_a_fit_says_what_the_fit_says(page, fit):
     text = page(fit).text
     for said in (

@@ -30,6 +30,7 @@ from labhil.report.html.schema import (
     RivalPart,
 )
 from labhil.report.html.table import bullets, facts, numbers, table, text, tiles
+from labhil.report.limits import OfJoints, joints_in, of_joints
 from labhil.report.verdicts import VERDICTS
 
 P_VALUES = {
@@ -273,19 +274,38 @@ def _rivals(rivals: Sequence[RivalPart]) -> Section | None:
 def _excluded(diagnosis: DiagnosisPart) -> Section | None:
     if not diagnosis.excluded:
         return None
+    whole = [item for item in diagnosis.excluded if item.joint is None]
     columns = (*text("Effect"), *numbers("Largest that could hide", "Confidence"))
     rows = [
         (
-            tag("code", keyed(item.term, item.joint, item.recording)),
+            tag("code", keyed(item.term, None, item.recording)),
             quantity(item.largest_hidden, item.unit, digits=3),
             f"{100 * item.confidence:.4g}\N{NO-BREAK SPACE}%" if item.confidence is not None else None,
         )
-        for item in diagnosis.excluded
+        for item in whole
     ]
+    caption = "Effects that are absent, or smaller than this in their main parameter"
     return section(
         "What is not there",
-        table("Effects that are absent, or smaller than this in their main parameter", columns, rows),
+        table(caption, columns, rows) if rows else None,
+        _excluded_of_joints(of_joints(diagnosis.excluded)),
     )
+
+
+def _excluded_of_joints(limits: Sequence[OfJoints]) -> Markup | None:
+    if not limits:
+        return None
+    joints = joints_in(limits)
+    columns = (*text("Effect"), *numbers(*(f"Joint {joint}" for joint in joints)), *text("Unit"))
+    rows = [
+        (
+            tag("code", row.term),
+            *(quantity(row.largest.get(joint), digits=3) for joint in joints),
+            row.unit if row.unit != "1" else None,
+        )
+        for row in limits
+    ]
+    return table("The same by joint, with 99 % confidence", columns, rows)
 
 
 def _undecided(diagnosis: DiagnosisPart) -> Section | None:

@@ -1,0 +1,55 @@
+"""How much of what was not found could still hide: of an arm a row for each term, a column for each joint."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+
+class Limit(Protocol):
+    """The largest size of a term's main parameter that could hide."""
+
+    @property
+    def term(self) -> str:
+        """Its name."""
+        ...
+
+    @property
+    def joint(self) -> int | None:
+        """The one that it acts on, where terms have one each."""
+        ...
+
+    @property
+    def unit(self) -> str:
+        """Of the parameter."""
+        ...
+
+    @property
+    def largest_hidden(self) -> float | None:
+        """None where it is not known."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class OfJoints:
+    """That of a term of an arm in its ``unit``, by joint; a joint of which nothing is said is not in it."""
+
+    term: str
+    unit: str
+    largest: dict[int, float | None] = field(default_factory=dict)
+
+
+def of_joints(limits: Iterable[Limit]) -> list[OfJoints]:
+    """A row for each term of a joint, in the order of the terms."""
+    rows: dict[tuple[str, str], OfJoints] = {}
+    for limit in limits:
+        if limit.joint is not None:
+            row = rows.setdefault((limit.term, limit.unit), OfJoints(limit.term, limit.unit))
+            row.largest[limit.joint] = limit.largest_hidden
+    return list(rows.values())
+
+
+def joints_in(rows: Iterable[OfJoints]) -> list[int]:
+    """All joints of which something is said."""
+    return sorted({joint for row in rows for joint in row.largest})
