@@ -9,6 +9,7 @@ import numpy as np
 from scipy import stats
 
 from labhil.identify.fitted import Fitted
+from labhil.identify.rounding import telling_share
 from labhil.identify.score import Score
 from labhil.identify.statistics import modelled_variance, neighbours
 from labhil.physics.model import Metric
@@ -37,18 +38,20 @@ class Evidence:
 class Left:
     """What a model leaves (N, c) of data in whose windows only states were fitted, in units of their noise.
 
-    Recordings begin at the rows ``begins``. ``price`` is what parameters that moved as far as they are not
-    known have cost, −2 times a logarithm of likelihood.
+    Recordings begin at the rows ``begins``; of their samples the share ``telling`` is not the same rounding
+    over again. ``price`` is what parameters that moved as far as they are not known have cost, −2 times a
+    logarithm of likelihood.
     """
 
     residuals: FloatArray
     begins: tuple[int, ...]
+    telling: float = 1.0
     price: float = 0.0
 
     @property
     def worth(self) -> float:
         """How many independent residuals they are worth."""
-        return independent(self.residuals, self.begins)
+        return independent(self.residuals, self.begins, self.telling)
 
     @property
     def unlikely(self) -> float:
@@ -63,18 +66,19 @@ class Left:
 
 def effective_samples(fitted: Fitted, joint: int | None = None) -> float:
     """How many independent residuals those of a fit are worth, or those of one joint's output."""
-    return independent(_channels(fitted, joint), fitted.problem.begins)
+    problem = fitted.problem
+    return independent(_channels(fitted, joint), problem.begins, telling_share(problem.record, problem.sigma))
 
 
-def independent(residuals: FloatArray, begins: Sequence[int] = (0,)) -> float:
+def independent(residuals: FloatArray, begins: Sequence[int] = (0,), telling: float = 1.0) -> float:
     """How many independent ones residuals (n, channels) are worth, by an AR(1) of all channels.
 
-    Recordings begin at the rows ``begins``.
+    Recordings begin at the rows ``begins``. No more than the share ``telling``, where readings are rounded.
     """
     power = float(np.sum(residuals**2))
     rho = float(np.sum(neighbours(residuals, begins))) / power if power > 0 else 0.0
     rho = min(max(rho, 0.0), 0.99)
-    return residuals.size * (1.0 - rho) / (1.0 + rho)
+    return residuals.size * min((1.0 - rho) / (1.0 + rho), telling)
 
 
 def bic(fitted: Fitted, effective: float, degrees: float | None = None, joint: int | None = None) -> float:

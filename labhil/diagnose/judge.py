@@ -9,6 +9,7 @@ from scipy import stats
 
 from labhil.diagnose.evidence import Evidence, Left
 from labhil.identify.problem import begins_among
+from labhil.identify.rounding import telling_share
 from labhil.identify.score import Score, score
 from labhil.identify.window_states import held_at
 from labhil.identify.windows import fit_windows
@@ -70,7 +71,11 @@ class Data:
         """What a model held at ``theta`` leaves of the held-out data, on windows as long as the search's."""
         windows = self.held_out_windows
         found = held_at(model, theta, self.test, windows, self.test_sigma, thorough=True)
-        return Left(found.residuals.reshape(-1, len(self.test_sigma)), begins_among(self.test, windows))
+        return Left(
+            found.residuals.reshape(-1, len(self.test_sigma)),
+            begins_among(self.test, windows),
+            telling_share(self.test, self.test_sigma),
+        )
 
     @property
     def held_out_windows(self) -> Windows:

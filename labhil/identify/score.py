@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from labhil.errors import RecordingError
 from labhil.identify.problem import Point, Problem
+from labhil.identify.rounding import Rounding
 from labhil.identify.window_states import held_at
 from labhil.identify.windows import ScoredWindows, all_of, noise_at, scored_windows
 from labhil.physics.drive_balance import Balanced
 from labhil.physics.model import Metric, Model, Record
 from labhil.signals import FloatArray, IntArray
+
+PHASES = np.arange(16) / 16.0
+"""Of a converter's steps, over which what its rounding leaves is averaged."""
 
 ROUNDING = 1e-9
 """Of its size: a channel that varies by less is a constant."""
@@ -266,20 +271,42 @@ def _spread(record: Record, j: int, rows: IntArray) -> float:
     return total
 
 
+def _lasting(
+    rounded: Sequence[Rounding | None], simulated: FloatArray, whole: Problem, phase: float
+) -> FloatArray:
+    """What of rounding lasts, over the noise, (N·c,), with all converters' steps shifted by a ``phase``.
+
+    A floor is that of any device like this one, whose steps may lie elsewhere.
+    """
+    errors = np.zeros_like(simulated)
+    for j, each in enumerate(rounded):
+        if each is not None:
+            errors[:, j] = each.lasting(simulated[:, j], phase)
+    return np.asarray((errors / whole.noise).ravel())
+
+
 def _carried(
     whole: Problem, windows: ScoredWindows, states: FloatArray, residuals: FloatArray, lasts: FloatArray
 ) -> FloatArray:
     """What the initial state's error adds to the variance of each scored sample (N, c), over the noise's.
 
     a·(AᵀA)⁻¹·AᵀLA·(AᵀA)⁻¹·aᵀ, A over the lead-in, a over the scored part, L how long noise lasts; the noise
-    floor is σ·√(1 + its mean).
+    floor is σ·√(1 + its mean). What of rounding lasts goes through the same by itself.
     """
     c = len(whole.sigma)
     lin = whole.linearise(Point(np.empty(0), states), residuals)
     lead = lin.by_states * np.repeat(~windows.scored, c)[:, None]
     inverse = np.linalg.inv(whole.state_gram(lead))
-    lasting = whole.state_gram(lead * np.tile(np.sqrt(lasts), len(lead) // c)[:, None])
+    rounded = [Rounding.of(whole.record.outputs[:, j], whole.sigma[j]) for j in range(c)]
+    apart = np.array([1.0 - each.share if each is not None else 1.0 for each in rounded])
+    lasting = whole.state_gram(lead * np.tile(np.sqrt(lasts * apart), len(lead) // c)[:, None])
     spread = (inverse @ lasting @ inverse)[whole.owner]
     carried = np.einsum("ns,nst,nt->n", lin.by_states, spread, lin.by_states)
+    if np.any(apart < 1.0):
+        simulated = whole.record.outputs[whole.windows.rows] + residuals.reshape(-1, c) * whole.noise
+        errors = [_lasting(rounded, simulated, whole, phase) for phase in PHASES]
+        moved = [np.einsum("wst,wt->ws", inverse, whole.per_window(lead * e[:, None])) for e in errors]
+        along = [np.sum(lin.by_states * shift[whole.owner], axis=1) for shift in moved]
+        carried += np.mean(np.square(along), axis=0)
     # a state that its lead-in cannot see (a ball that rests there) stays where it was put
     return np.asarray(np.minimum(carried, 100.0).reshape(-1, c)[windows.scored])

@@ -1,0 +1,81 @@
+"""What a converter's rounding leaves in readings whose noise is too small to dither it.
+
+Of a value x under Gaussian noise of standard deviation σ, readings in steps of q are off on the average by
+
+    e(x) = (q/π)·Σₖ (−1)ᵏ/k·sin(2πkx/q)·exp(−2(πkσ/q)²),   k = 1, 2, …
+
+(Widrow and Kollár 2008, Quantization Noise, ch. 19); only what is left of their error is independent from one
+sample to the next. While a motion takes many samples to pass a step, e(x) stays, and a mean over these
+samples keeps it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labhil.identify.windows import converter_step
+from labhil.physics.model import Record
+from labhil.signals import FloatArray
+
+PLACES = 256
+"""Within a step, at which the error is tabulated."""
+
+LEAST = 1e-3
+"""Share of the noise's variance below which rounding is as good as independent noise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rounding:
+    """A channel's ``step`` in its unit, the lasting ``error`` (PLACES + 1,) along a step, in steps.
+
+    ``share`` is what of the noise's variance that error is on the average.
+    """
+
+    step: float
+    error: FloatArray
+    share: float
+
+    @classmethod
+    def of(cls, readings: FloatArray, sigma: float) -> Rounding | None:
+        """That of readings (n,) with noise ``sigma``, rounding and all; None where none lasts."""
+        step = converter_step(readings)
+        if step == 0.0:
+            return None
+        dither = max((sigma / step) ** 2 - 1.0 / 12.0, 0.0)
+        error = _smoothed_saw(dither)
+        share = float(np.mean(error[:-1] ** 2)) * (step / sigma) ** 2
+        return cls(step, error, share) if share > LEAST else None
+
+    def lasting(self, values: FloatArray, phase: float) -> FloatArray:
+        """The error (N,) of ``values`` (N,), in their unit, the converter's steps shifted by a ``phase``."""
+        places = np.mod(values / self.step + phase, 1.0) * PLACES
+        return np.asarray(self.step * np.interp(places, np.arange(PLACES + 1.0), self.error))
+
+
+def telling_share(record: Record, sigma: FloatArray) -> float:
+    """Share of the samples of all channels (n, c) that are worth an independent one, noise ``sigma`` (c,).
+
+    What of rounding lasts tells something new only where a reading changes.
+    """
+    shares = []
+    for readings, noise in zip(record.outputs.T, sigma, strict=True):
+        rounded = Rounding.of(readings, noise)
+        if rounded is None:
+            shares.append(1.0)
+            continue
+        changes = max(float(np.mean(np.diff(readings) != 0.0)), 1.0 / len(readings))
+        shares.append(1.0 / (1.0 + rounded.share * (1.0 / changes - 1.0)))
+    return float(np.mean(shares))
+
+
+def _smoothed_saw(dither: float) -> FloatArray:
+    """The series along one step, in steps, for noise of a variance ``dither`` in steps², (PLACES + 1,)."""
+    along = np.arange(PLACES) / PLACES
+    # at half a step a reading falls to either side
+    saw = np.where(along < 0.5, -along, 1.0 - along)
+    saw[PLACES // 2] = 0.0
+    waves = np.arange(PLACES // 2 + 1)
+    smoothed = np.fft.irfft(np.fft.rfft(saw) * np.exp(-2.0 * np.pi**2 * waves**2 * dither), PLACES)
+    return np.append(smoothed, smoothed[0])
