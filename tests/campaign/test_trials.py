@@ -231,6 +231,17 @@ def test_the_extended_criterion_counts_the_ways_to_choose():
 
 
 @pytest.mark.extended
+@pytest.mark.parametrize("first", [508, 700])
+def test_rounding_that_no_noise_dithers_raises_no_alarm(tmp_path, first):
+    """Balls that hardly move, read in steps of ten times the noise; the floor of white noise is too low."""
+    folder = tmp_path / "set"
+    order = Order("ball_beam", 1, "0", folder, answers_beside(folder), 94, first=first)
+    make_trials(order, 1, silent)
+    run_trials(folder, 1, silent)
+    assert score_trials(folder, order.answers, silent).false_alarms.hits == 0
+
+
+@pytest.mark.extended
 def test_forward_steps_name_a_strong_effect_and_are_scored(tmp_path):
     folder = tmp_path / "set"
     order = Order("axis", 3, "1", folder, answers_beside(folder), 4)
