@@ -15,8 +15,8 @@ from labhil.identify.score import ChannelScore, Figures, Score
 from labhil.identify.statistics import Estimate
 from labhil.physics.model import Metric
 from labhil.physics.terms import keyed
+from labhil.report.absent import OfJoints, joints_in, of_joints, silences
 from labhil.report.html.quantity import quantity, squared
-from labhil.report.limits import OfJoints, joints_in, of_joints
 from labhil.report.verdicts import VERDICTS
 
 NOT_THERE = "Not there, or smaller than this (99 %)"
@@ -263,12 +263,10 @@ def _not_found(diagnosis: Diagnosis) -> Iterator[RenderableType]:
     rows = of_joints(diagnosis.excluded)
     if rows:
         yield _joints_table(rows)
-    by_reason: dict[str, dict[str, list[str]]] = {}
-    for undecided in diagnosis.undecided:
-        joints = by_reason.setdefault(undecided.reason, {}).setdefault(undecided.term, [])
-        joints += [] if undecided.joint is None else [str(undecided.joint)]
-    for reason, terms in by_reason.items():
-        names = [f"{term}[{', '.join(joints)}]" if joints else term for term, joints in terms.items()]
+    by_reason: dict[str, list[str]] = {}
+    for silence in silences(diagnosis.undecided):
+        by_reason.setdefault(silence.reason, []).append(silence.name)
+    for reason, names in by_reason.items():
         yield Text(f"Undecided: {', '.join(names)}: {reason}.", style="dim")
 
 

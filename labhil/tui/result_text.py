@@ -10,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from labhil.physics.terms import keyed
+from labhil.report.absent import silences
 from labhil.report.html.quantity import chance, interval, multiple, p_value, percent, quantity
 from labhil.report.html.schema import (
     ChannelErrors,
@@ -268,6 +269,6 @@ def _rest(found: DiagnosisPart, colours: Colours) -> Text:
         ]
         more = f" and {len(shown) - MOST_EXCLUDED} more" if len(shown) > MOST_EXCLUDED else ""
         text.append(f"Not there, or smaller than: {', '.join(shown[:MOST_EXCLUDED])}{more}.\n")
-    for item in found.undecided:
-        text.append(f"Undecided: {keyed(item.term, item.joint)}: {item.reason}.\n")
+    for silence in silences(found.undecided):
+        text.append(f"Undecided: {silence.name}: {silence.reason}.\n")
     return text.append(_sources(found))

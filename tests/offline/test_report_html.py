@@ -191,7 +191,11 @@ def test_what_is_not_there_of_an_arm_stands_by_joint(page, diagnosis):
         {"term": t, "joint": j, "largest_hidden": size, "unit": units[t], "confidence": 0.99}
         for t, j, size in limits
     ]
+    diagnosis["undecided"] = [
+        {"term": "temperature_dependent_friction", "joint": j, "needs": [], "reason": "none"} for j in (0, 1)
+    ]
     text = page(diagnosis).text
+    assert "temperature_dependent_friction[0, 1]" in text
     table = text[text.index("The same by joint") :]
     told = ("Joint 0", "Joint 2", "torque_ripple", "0.035", "0.0058", "N·m", "torque_constant", "–", "0.0025")
     places = [table.index(said) for said in told]

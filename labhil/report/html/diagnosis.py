@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from labhil.physics.terms import keyed
+from labhil.report.absent import OfJoints, joints_in, of_joints, silences
 from labhil.report.html.curve import curve_picture
 from labhil.report.html.element import Content, Markup, joined, tag
 from labhil.report.html.model import (
@@ -30,7 +31,6 @@ from labhil.report.html.schema import (
     RivalPart,
 )
 from labhil.report.html.table import bullets, facts, numbers, table, text, tiles
-from labhil.report.limits import OfJoints, joints_in, of_joints
 from labhil.report.verdicts import VERDICTS
 
 P_VALUES = {
@@ -314,13 +314,13 @@ def _undecided(diagnosis: DiagnosisPart) -> Section | None:
     lines = [
         joined(
             (
-                tag("code", keyed(item.term, item.joint)),
-                f": {item.reason}",
-                f"; it needs {', '.join(item.needs)}" if item.needs else None,
+                tag("code", silence.name),
+                f": {silence.reason}",
+                f"; it needs {', '.join(silence.needs)}" if silence.needs else None,
                 ".",
             )
         )
-        for item in diagnosis.undecided
+        for silence in silences(diagnosis.undecided)
     ]
     return section("Of what these data cannot speak", bullets(lines))
 

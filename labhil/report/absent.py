@@ -1,8 +1,8 @@
-"""How much of what was not found could still hide: of an arm a row for each term, a column for each joint."""
+"""What is not there, and of what data cannot speak: the joints of an arm side by side."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -53,3 +53,48 @@ def of_joints(limits: Iterable[Limit]) -> list[OfJoints]:
 def joints_in(rows: Iterable[OfJoints]) -> list[int]:
     """All joints of which something is said."""
     return sorted({joint for row in rows for joint in row.largest})
+
+
+class Silent(Protocol):
+    """A term of which data cannot speak."""
+
+    @property
+    def term(self) -> str:
+        """Its name."""
+        ...
+
+    @property
+    def joint(self) -> int | None:
+        """The one that it acts on, where terms have one each."""
+        ...
+
+    @property
+    def needs(self) -> Sequence[str]:
+        """Channels that are not there."""
+        ...
+
+    @property
+    def reason(self) -> str:
+        """Why, as part of a sentence."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Silence:
+    """Why data cannot speak of a ``name``: a term, with all of its joints in brackets."""
+
+    name: str
+    reason: str
+    needs: tuple[str, ...]
+
+
+def silences(undecided: Iterable[Silent]) -> list[Silence]:
+    """One for each term and reason, in the order of the terms."""
+    joints: dict[tuple[str, str, tuple[str, ...]], list[str]] = {}
+    for each in undecided:
+        of = joints.setdefault((each.term, each.reason, tuple(each.needs)), [])
+        of += [] if each.joint is None else [str(each.joint)]
+    return [
+        Silence(f"{term}[{', '.join(of)}]" if of else term, reason, needs)
+        for (term, reason, needs), of in joints.items()
+    ]
