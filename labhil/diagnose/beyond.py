@@ -202,7 +202,9 @@ def settled(data: Data, final: Fitted, curved: Fitted) -> Fitted:
     searched = refit(replace(data, window=final.window), final, final.terms, (), thorough=True)
     problem, point = searched.problem, searched.solution.point
     own = States(point.states, searched.solution.residuals)
-    better = own.or_better(problem, tried(problem, point.z, curved.solution.point.states))
+    # under a curve over a place that recordings do not tell, windows have that as one more state
+    common = curved.solution.point.states[:, : point.states.shape[1]]
+    better = own.or_better(problem, tried(problem, point.z, common))
     if better.cost == own.cost:
         return searched
     begun = replace(searched, solution=replace(searched.solution, point=replace(point, states=better.states)))

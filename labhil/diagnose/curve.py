@@ -17,7 +17,7 @@ from labhil.identify.spline import Spline
 from labhil.identify.statistics import Estimate, estimates
 from labhil.identify.window_states import fit_states, search_states
 from labhil.identify.windows import fit_windows
-from labhil.physics.extra_force import Over, Yielding
+from labhil.physics.extra_force import Over, Unplaced, Yielding
 from labhil.physics.model import Windows
 from labhil.physics.terms import Yardstick
 from labhil.signals import FloatArray
@@ -86,6 +86,13 @@ class Curved:
     def coefficients(self) -> FloatArray:
         """Of the spline, in the unit of the force, (K,)."""
         return self.model.split(self.fitted.theta)[1]
+
+    @property
+    def places(self) -> int:
+        """States that windows have only so that they know where the curve's part stands."""
+        inner = self.model.inner
+        unseen = isinstance(inner, Unplaced) and self.model.coordinate.name in inner.state_names
+        return len(self.fitted.problem.windows) if unseen else 0
 
 
 def shortened(final: Fitted, share: float) -> Fitted:
@@ -214,12 +221,12 @@ def criterion(curved: Curved, effective: float) -> float:
         solution = replace(curved.fitted.solution, residuals=residuals)
         return bic(replace(curved.fitted, solution=solution), effective, degrees, joint)
 
-    kept = curved.fitted.solution.residuals
+    kept, states = curved.fitted.solution.residuals, curved.places
     missed = mark(kept, 0.0) - mark(near.left(curved.fitted.solution.point.z), 0.0)
-    marks = [mark(kept, curved.degrees)]
+    marks = [mark(kept, curved.degrees + states)]
     for weight in SMOOTHING:
         penalty = _penalty(near, curved.model, weight)
-        marks.append(mark(near.left(near.solve(penalty)), near.degrees(penalty)) + missed)
+        marks.append(mark(near.left(near.solve(penalty)), near.degrees(penalty) + states) + missed)
     return min(marks)
 
 

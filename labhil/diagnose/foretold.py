@@ -75,7 +75,7 @@ def _likelier(
     if data.first is not None:
         first = replace(data.first, window=min(after.window, data.first.search.longest))
         likelier = -0.5 * unlikelier(*(foretold(first, _alone(first, fitted)) for fitted in (before, after)))
-        yield likelier, looks * float(np.exp(-likelier / CAUTION))
+        yield likelier, looks * float(np.exp(min(-likelier / CAUTION, 0.0)))
 
 
 def _alone(first: Data, fitted: Fitted) -> Fitted:

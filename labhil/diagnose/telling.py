@@ -174,9 +174,10 @@ def _named_location(found: Found, before: Score, after: Score, held_out: Record)
 def _beyond_location(
     found: Found, before: Score, after: Score, held_out: Record, beyond: Unmodelled
 ) -> locate.Location:
-    name, model = beyond.depends_on[0], found.final.problem.model
+    name, model = beyond.depends_on[0], beyond.model
     record, windows, states, counted = locate.HeldOut(held_out, before, after).motion
-    along = model.coordinates(found.final.theta, record, windows, states)[name][counted]
+    motion = model.coordinates(beyond.fit.theta, record, windows, states)
+    along = model.coordinate.of(motion)[counted]
     regimes = locate.regimes({name: along}, np.interp(along, beyond.x, beyond.value) ** 2)
     channel, joint = _channel(before, after)
     times, recordings = locate.times(before, after, held_out)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,9 +31,10 @@ from labhil.diagnose.rest import STANDS_IN
 from labhil.identify.extended import NAME, Coordinate, ExtendedModel
 from labhil.identify.fitted import Fitted
 from labhil.identify.kept_curve import KeptCurve
+from labhil.identify.problem import Problem
 from labhil.identify.score import Score, score, scored_horizon
 from labhil.identify.statistics import Estimate
-from labhil.physics.extra_force import MovedPart, Over, Yielding
+from labhil.physics.extra_force import MovedPart, Over, Unplaced, Yielding
 from labhil.physics.model import unit_of
 from labhil.signals import FloatArray
 
@@ -191,12 +192,38 @@ def _curves(final: Fitted, model: Yielding, part: MovedPart, halvings: int) -> l
 
 def _looks(short: Fitted, model: Yielding, part: MovedPart) -> list[Curved]:
     """Glances at a curve over each coordinate that varies, the one with the least criterion first."""
-    problem = short.problem
-    along = model.coordinates(short.theta, problem.record, problem.windows, short.solution.point.states)
-    possible = [(c, c.of(along)) for c in coordinates_of(model, part) + _given(short, part)]
-    looks = [glance(short, coordinate, values) for coordinate, values in possible if np.ptp(values) > 0.0]
+    possible = [(short, c) for c in coordinates_of(model, part) + _given(short, part)]
+    where = _placed(short)
+    if where is not short:
+        possible += [(where, c) for c in _places(where)]
+    asked = [(fitted, c, c.of(_along(fitted))) for fitted, c in possible]
+    looks = [glance(fitted, c, values) for fitted, c, values in asked if np.ptp(values) > 0.0]
     effective = _worth(looks) if looks else 0.0
     return sorted(looks, key=lambda look: criterion(look, effective))
+
+
+def _along(fitted: Fitted) -> Mapping[str, FloatArray]:
+    problem, states = fitted.problem, fitted.solution.point.states
+    return problem.model.coordinates(fitted.theta, problem.record, problem.windows, states)
+
+
+def _placed(final: Fitted) -> Fitted:
+    """The same fit where windows know where their part stands, as far as recordings do not tell it."""
+    model, old = final.problem.model, final.problem
+    if not isinstance(model, Unplaced) or model.placed() is model:
+        return final
+    problem = Problem(model.placed(), old.record, old.windows, old.free, final.theta, old.sigma)
+    point = final.solution.point
+    states = np.column_stack([point.states, problem.guess[:, point.states.shape[1] :]])
+    solution = replace(final.solution, point=replace(point, states=states))
+    return replace(final, problem=problem, solution=solution, rivals=())
+
+
+def _places(final: Fitted) -> list[Coordinate]:
+    """What a force may be a function of once the place is known."""
+    model = final.problem.model
+    assert isinstance(model, Yielding)
+    return [c for part in model.moved for c in coordinates_of(model, part) if c.name == part.position]
 
 
 def _leading(trials: Sequence[Curved]) -> list[Curved]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labhil.identify.extended import Coordinate
-from labhil.physics.extra_force import ExtraForce, Over, Yielding
+from labhil.physics.extra_force import ExtraForce, Over, Yielding, placed
 from labhil.physics.model import Metric, Model, Record, Windows
 from labhil.physics.terms import Yardstick
 from labhil.signals import FloatArray
@@ -51,6 +51,7 @@ class ModelUnderCurves:
     """
 
     def __init__(self, inner: Yielding, curves: Sequence[KeptCurve]) -> None:
+        inner = placed(inner, [curve.coordinate.name for curve in curves])
         self.inner = inner
         self.curves = tuple(curves)
         self.kind = inner.kind

@@ -25,6 +25,9 @@ MORE_THAN_NOISE = 1.44
 OTHER_VELOCITIES = (-0.8, -0.4, -0.2, 0.2, 0.4, 0.8)
 """Where they begin anew, in scales of the state beside the measured velocity."""
 
+ANGLE, ANGLES = "_angle", 16
+"""How the name of a state ends that repeats after a turn, and where it begins anew, evenly over that."""
+
 TRIALS = 12
 """States that are tried anew in every window when a fit settles."""
 
@@ -167,8 +170,28 @@ def settled_states(problem: Problem, z: FloatArray, *, thorough: bool = True) ->
 
     ``thorough`` as in :func:`held_at`.
     """
-    found = rescued_states(problem, z, tried(problem, z, fit_states(problem, z, problem.guess)))
+    found = _turned(problem, z, tried(problem, z, fit_states(problem, z, problem.guess)))
+    found = rescued_states(problem, z, found)
     return _searched(problem, z, found) if thorough and problem.model.state_names else found
+
+
+def _turned(problem: Problem, z: FloatArray, found: States) -> States:
+    """The same from the angle at which each recording as a whole is explained best.
+
+    Nothing may tell where a shaft stood when a recording began; from window to window it is known well.
+    """
+    angles = np.array([name.endswith(ANGLE) for name in problem.model.state_names])
+    if not angles.any():
+        return found
+    guessed = np.where(angles, problem.guess, found.states)
+    shifts = 2.0 * np.pi * np.arange(ANGLES) / ANGLES
+    costs = np.array([tried(problem, z, guessed + shift * angles).costs(problem) for shift in shifts])
+    rows = [begin.row for begin in problem.record.begins]
+    recording = np.searchsorted(rows, problem.windows.first, side="right") - 1
+    of_recordings = np.array([np.bincount(recording, each, len(rows)) for each in costs])
+    best = shifts[np.argmin(of_recordings, axis=0)][recording]
+    begin = tried(problem, z, guessed + best[:, None] * angles)
+    return found.or_better(problem, _damped_states(problem, z, begin, 8))
 
 
 def _searched(problem: Problem, z: FloatArray, found: States) -> States:

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from labhil.physics import winding
 from labhil.physics.dc_motor_terms import REFERENCE, Sizes, catalogue, own_parameters
@@ -27,6 +29,9 @@ TIME_CONSTANTS = 3.0
 BRUSH_WIDTH = 0.01
 """Share of the typical current over which the brushes' drop changes its sign."""
 
+TURN = 2.0 * np.pi
+"""After which an angle repeats, rad."""
+
 MOTION = ("speed", "current")
 """Where the outputs stand in a trajectory."""
 
@@ -35,7 +40,8 @@ class DcMotorModel:
     """The white-box model of one DC motor (satisfies ``physics.model.Model``).
 
     Driven by ``voltage``; simulates ``speed``, ``current`` or both. Parameters that the rig file does not
-    know are estimated. States are speed, current and, as an offset that nobody fits, the angle.
+    know are estimated. States are speed, current and, as an offset that nobody fits, the angle; where no
+    recording tells that, it may be one more state (:meth:`placed`).
     """
 
     kind = "dc_motor"
@@ -48,7 +54,7 @@ class DcMotorModel:
     }
     metric = Metric.WINDOWED_SIMULATION
     forgets = True
-    state_names = ("shaft_velocity", "current")
+    state_names: tuple[str, ...] = ("shaft_velocity", "current")
     force_unit = "N·m"
     _extra: ExtraForce | None = None
 
@@ -71,7 +77,20 @@ class DcMotorModel:
         self._path = DrivenPath()
         # without a measured angle each window counts its own from zero
         told = record is not None and "angle" in record.auxiliary
-        self.moved = (MovedPart("shaft_angle" if told else "", "shaft_velocity", 2.0 * np.pi),)
+        self.moved = (MovedPart("shaft_angle" if told else "", "shaft_velocity", TURN),)
+
+    def placed(self) -> DcMotorModel:
+        """The same motor with the angle as one more state of every window, guessed from the measured speed.
+
+        Itself where recordings tell the angle, or not even the speed.
+        """
+        if self.moved[0].position or "speed" not in self.outputs:
+            return self
+        other = copy.copy(self)
+        other.moved = (replace(self.moved[0], position="shaft_angle"),)
+        other.state_names = (*self.state_names, "shaft_angle")
+        other.state_scale = np.append(self.state_scale, 1.0)
+        return other
 
     def with_force(self, force: ExtraForce) -> DcMotorModel:
         """The same motor under one more torque, N·m."""
@@ -94,7 +113,7 @@ class DcMotorModel:
 
     def initial_states(self, record: Record, windows: Windows) -> FloatArray:
         """Mean of the first samples of each window; a channel that is not there is guessed from the other."""
-        states = np.zeros((len(windows), 2))
+        states = np.zeros((len(windows), len(self.state_names)))
         count = max(2, min(5, int(0.02 * self.sizes.time_constant / record.period)))
         constant = self.fixed.get("torque_constant", self.sizes.constant)
         resistance = self.fixed.get("resistance", self.sizes.resistance)
@@ -108,8 +127,17 @@ class DcMotorModel:
                 speed = (u - resistance * float(current or 0.0)) / constant
             if current is None:
                 current = (u - constant * speed) / resistance
-            states[w] = speed, current
+            states[w, :2] = speed, current
+        if len(self.state_names) > 2:
+            states[:, 2] = self._turned(record)[windows.first]
         return states
+
+    def _turned(self, record: Record) -> FloatArray:
+        """How far the shaft turned since the begin of each recording by its measured speed, rad, (n,)."""
+        speed = record.outputs[:, self.outputs.index("speed")]
+        return np.concatenate(
+            [cumulative_trapezoid(speed[a:b], record.t[a:b], initial=0.0) for a, b in record.spans]
+        )
 
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
         """Speed in rad/s and current in A, those that the record has, (N, channels)."""
@@ -193,7 +221,7 @@ class DcMotorModel:
         node_t, voltage = self._path.nodes(record, 0, lambda name: self._values.of(theta, name))
         voltage = voltage * (1.0 - self._values.of(theta, "supply_sag.coefficient") * np.abs(voltage))
         begun = np.zeros((len(windows), 3))
-        begun[:, :2] = states
+        begun[:, : states.shape[1]] = states
         if "angle" in record.auxiliary:
             begun[:, 2] = record.auxiliary["angle"][windows.first]
         out = np.empty((len(windows.rows), 3))

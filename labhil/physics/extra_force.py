@@ -8,7 +8,7 @@ would pull the simulation towards it (a stiff spring to the measured place expla
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
@@ -131,6 +131,27 @@ class Yielding(Model, Protocol):
         A model of several parts may be under several; the force on a single part takes the place of another.
         """
         ...
+
+
+@runtime_checkable
+class Unplaced(Yielding, Protocol):
+    """A model of which recordings may not tell where its part stands.
+
+    Under a force that depends on that, each window may find it out from what it shows.
+    """
+
+    def placed(self) -> Yielding:
+        """The same with the place as one more state of every window; itself where recordings tell it."""
+        ...
+
+
+def placed(model: Yielding, over: Collection[str]) -> Yielding:
+    """The model as it takes forces ``over`` these coordinates: it has to know its place for some."""
+    if not isinstance(model, Unplaced):
+        return model
+    other = model.placed()
+    unseen = {part.position for part in other.moved} - {part.position for part in model.moved}
+    return other if unseen & set(over) else model
 
 
 P = TypeVar("P")

@@ -12,7 +12,7 @@ import numpy as np
 from labhil.errors import ModelFileError
 from labhil.identify.extended import Coordinate
 from labhil.identify.kept_curve import KeptCurve, ModelUnderCurves
-from labhil.physics.extra_force import MovedPart, Over, Yielding
+from labhil.physics.extra_force import MovedPart, Over, Yielding, placed
 from labhil.physics.model import Model, unit_of
 from labhil.signals import FloatArray
 
@@ -96,7 +96,7 @@ def _curve(path: Path, stated: Mapping[str, Any], model: Yielding) -> KeptCurve:
     if unit is None:
         known = ", ".join(model.coordinate_units)
         raise ModelFileError(f"{path}: curve: depends_on: expected one of {known}, found {name!r}")
-    coordinate = Coordinate(name, unit, acts, _part(path, stated, model))
+    coordinate = Coordinate(name, unit, acts, _part(path, stated, placed(model, [name])))
     return KeptCurve(coordinate, x, value, low, high, str(stated.get("unit", "")), stated.get("formula"))
 
 

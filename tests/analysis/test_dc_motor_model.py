@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -90,6 +91,29 @@ def test_model_and_plant_agree_though_they_share_no_code(case):
     if set(terms) - set(VISCOUS):
         bare = without(found, [term for term in terms if term not in VISCOUS])
         assert disagreement(bare, spans).max() > 10.0 * tolerance, "the term matters"
+
+
+def test_a_motor_may_have_to_find_its_angle():
+    """Where nothing tells it, it is one more state; no force depends on it, so nothing else changes."""
+    found = replay("dc_motor", staircase(8.0, 0.01, 0.5, 5.0), DRY)
+    assert found.model.placed() is found.model
+    record = replace(found.record, auxiliary={})
+    blind = DcMotorModel(rig_of("dc_motor"), record)
+    placed = blind.placed()
+    assert placed.placed() is placed
+    assert [model.moved[0].position for model in (blind, placed)] == ["", "shaft_angle"]
+    windows = Windows.of([(100, 300), (400, 700)])
+    states = placed.initial_states(record, windows)
+    assert states[:, 2] == pytest.approx(found.record.auxiliary["angle"][windows.first], abs=0.02)
+    assert np.array_equal(states[:, :2], blind.initial_states(record, windows))
+    theta = found.theta[: len(blind.parameters)]
+    plain, other = (
+        model.simulate(theta, record, windows, s) for model, s in ((blind, states[:, :2]), (placed, states))
+    )
+    assert np.array_equal(plain, other)
+    only = replace(record, outputs=record.outputs[:, 1:], output_names=("current",), output_units=("A",))
+    without_speed = DcMotorModel(rig_of("dc_motor"), only)
+    assert without_speed.placed() is without_speed
 
 
 def test_a_lagging_sensor_agrees_from_rest():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +24,8 @@ from labhil.diagnose.judge import Data
 from labhil.diagnose.refit import refit
 from labhil.diagnose.unmodelled import Unmodelled, unmodelled
 from labhil.identify.fitted import Fitted, climb, start_theta
+from labhil.identify.kept_curve import ModelUnderCurves
+from labhil.identify.score import score
 from labhil.identify.windows import fit_windows, noise_of
 from labhil.physics.axis import AxisModel
 from labhil.physics.ball_beam import BallBeamModel
@@ -32,6 +35,9 @@ from labhil.physics.rigs import model_for
 from labhil.plants.axis import AxisPlant
 from labhil.rig import parse_rig
 from labhil.signals import FloatArray, Hold
+
+sys.path.insert(0, str(Path(__file__).parent))
+from one_input_rigs import replay, staircase
 
 pytestmark = pytest.mark.timeout(600)
 
@@ -194,3 +200,28 @@ def test_a_fit_settles_on_its_own_windows_where_a_recording_has_a_gap() -> None:
     gap = replace(record, t=record.t[kept], inputs=record.inputs[kept], outputs=record.outputs[kept])
     data, final = fitted(AXIS_RIG, AXIS_TERMS, gap, test)
     assert len(settled(data, final, final).problem.windows) == len(final.problem.windows)
+
+
+@pytest.mark.extended
+def test_a_magnet_beside_a_shaft_is_found_though_nothing_tells_the_angle() -> None:
+    """The measured speed says how far it turned; where the test began is found by what it shows."""
+    hidden = {"hidden_magnet.pull": 0.15, "hidden_magnet.width": 0.4}
+    noise = {"speed_noise": 0.03, "current_noise": 0.03}
+    runs = (
+        replay(
+            "dc_motor", staircase(40.0, 0.01, 0.5, 5.0, seed), ("viscous_friction", "hidden_magnet"), hidden,
+            noise=noise, seed=seed,
+        ).record
+        for seed in (1, 2)
+    )  # fmt: skip
+    search, test = (replace(record, auxiliary={}) for record in runs)
+    test = test.part(730, len(test))
+    data, final = fitted('[rig]\nkind = "dc_motor"\n', ("viscous_friction",), search, test)
+    found = unmodelled(data, final, data.model.moved[0])
+    assert found is not None
+    assert (found.depends_on, found.acts) == (("shaft_angle",), Over.POSITION)
+    assert found.share >= 0.8
+    kept = ModelUnderCurves(data.model, [found.kept])
+    assert kept.state_names == ("shaft_velocity", "current", "shaft_angle")
+    again = score(kept, found.model.split(found.fit.theta)[0], test, data.test_sigma)
+    assert again.rmse == pytest.approx(found.after.rmse, rel=0.02)
