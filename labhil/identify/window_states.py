@@ -5,7 +5,7 @@ Each window has a damping of its own, so that one at a stop or a reversal does n
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -178,20 +178,31 @@ def settled_states(problem: Problem, z: FloatArray, *, thorough: bool = True) ->
 def _turned(problem: Problem, z: FloatArray, found: States) -> States:
     """The same from the angle at which each recording as a whole is explained best.
 
-    Nothing may tell where a shaft stood when a recording began; from window to window it is known well.
+    Nothing may tell where a shaft stood when a recording began; from there on its angle is guessed well, so a
+    window has one of its own only where that explains clearly more.
     """
     angles = np.array([name.endswith(ANGLE) for name in problem.model.state_names])
     if not angles.any():
         return found
-    guessed = np.where(angles, problem.guess, found.states)
-    shifts = 2.0 * np.pi * np.arange(ANGLES) / ANGLES
-    costs = np.array([tried(problem, z, guessed + shift * angles).costs(problem) for shift in shifts])
+    held = replace(found, states=np.where(angles, problem.guess, found.states))
+    for turn in (np.arange(ANGLES) / ANGLES, np.linspace(-1.0, 1.0, ANGLES + 1) / ANGLES):
+        begin = _shifted(problem, z, held.states, 2.0 * np.pi * turn, angles)
+        held = _damped_states(problem, z, begin, 8, ~angles)
+    free = found.or_better(problem, _damped_states(problem, z, held, 8))
+    common = held.costs(problem) <= free.costs(problem) + np.log(_rows_of_windows(problem))
+    return free.chosen(problem, common, held)
+
+
+def _shifted(
+    problem: Problem, z: FloatArray, states: FloatArray, shifts: FloatArray, which: np.ndarray
+) -> States:
+    """States (W, S) with ``which`` (S,) of them further by the shift that is best for its recording."""
+    costs = [tried(problem, z, states + shift * which).costs(problem) for shift in shifts]
     rows = [begin.row for begin in problem.record.begins]
     recording = np.searchsorted(rows, problem.windows.first, side="right") - 1
     of_recordings = np.array([np.bincount(recording, each, len(rows)) for each in costs])
     best = shifts[np.argmin(of_recordings, axis=0)][recording]
-    begin = tried(problem, z, guessed + best[:, None] * angles)
-    return found.or_better(problem, _damped_states(problem, z, begin, 8))
+    return tried(problem, z, states + best[:, None] * which)
 
 
 def _searched(problem: Problem, z: FloatArray, found: States) -> States:

@@ -220,8 +220,9 @@ def test_a_magnet_beside_a_shaft_is_found_though_nothing_tells_the_angle() -> No
     found = unmodelled(data, final, data.model.moved[0])
     assert found is not None
     assert (found.depends_on, found.acts) == (("shaft_angle",), Over.POSITION)
-    assert found.share >= 0.8
+    assert found.share >= 0.9
     kept = ModelUnderCurves(data.model, [found.kept])
     assert kept.state_names == ("shaft_velocity", "current", "shaft_angle")
-    again = score(kept, found.model.split(found.fit.theta)[0], test, data.test_sigma)
-    assert again.rmse == pytest.approx(found.after.rmse, rel=0.02)
+    own = found.model.split(found.fit.theta)[0]
+    again = score(kept, own, test, data.test_sigma, found.after.windows.horizon)
+    assert again.rmse == pytest.approx(found.after.rmse, rel=0.05)
