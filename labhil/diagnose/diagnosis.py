@@ -86,7 +86,7 @@ def diagnose(
     return Diagnosis(
         verdict=_verdict(end, changed),
         faults=faults,
-        p_value=found.p_value,
+        p_value=_suffices(found, curves),
         p_value_method="tail_extrapolated",
         p_value_floor=0.0,
         baseline_terms=found.baseline.terms,
@@ -306,6 +306,11 @@ def _rows(found: Found) -> list[Estimate]:
     values = np.array([fitted.theta[places[p.key]] for p in held])
     rows = stated(held, values, np.array([found.errors.get(p.key, 0.0) for p in held])) + rows
     return [with_error(row, found.errors.get(row.key, 0.0)) for row in rows]
+
+
+def _suffices(found: Found, curves: Sequence[Unmodelled]) -> float:
+    """The p value that the baseline suffices: of what was added to it first, be it named or a curve."""
+    return curves[0].evidence.p_value if curves and not found.missing else found.p_value
 
 
 def _verdict(end: Concluded, changed: Sequence[Change]) -> str:
