@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,9 @@ from labhil.report.figure import AFTER, BEFORE, MEASURED, figure_of, finish, sav
 OTHER_JOINT = "right term, other joint"
 WIDEST_BIN = 1.6
 """How far the range without an upper end is drawn, as a factor."""
+
+APART = 1.015
+"""Factor in strength by which two shares of one range stand on either side of its middle."""
 
 
 def plot(card: Card, path: Path) -> None:
@@ -54,13 +58,15 @@ def _draw_confusion(axes: Axes, card: Card) -> None:
 
 def _named(true: str, named: str) -> str:
     """What is drawn for a name beside the truth."""
+    if named.startswith(UNMODELLED):
+        return UNMODELLED
     same = unkeyed(true)[0] == unkeyed(named)[0]
     return OTHER_JOINT if same and true != named else unkeyed(named)[0]
 
 
 def _right(true: str, named: str) -> bool:
     """What is outside the catalogue has no name of its own."""
-    return true == named or (true == OUTSIDE and named.startswith(UNMODELLED))
+    return true == named or (true == OUTSIDE and named == UNMODELLED)
 
 
 def _words(name: str) -> str:
@@ -70,11 +76,12 @@ def _words(name: str) -> str:
 def _draw_strength(axes: Axes, card: Card) -> None:
     ends = [*STRENGTH_BINS[1:-1], STRENGTH_BINS[-2] * WIDEST_BIN]
     middles = dict(zip(card.detection, (np.sqrt(np.maximum(STRENGTH_BINS[:-1], 1.0) * ends)), strict=True))
-    for shares, colour, label in (
-        (card.detection, MEASURED, "detected"),
-        (card.named, AFTER, "one effect, exact"),
+    for shares, colour, label, side in (
+        (card.detection, MEASURED, "detected", -1),
+        (card.named, AFTER, "one effect, exact", 1),
     ):
-        _draw_shares(axes, {middles[name]: share for name, share in shares.items()}, colour, label)
+        places = {middles[name] * APART**side: share for name, share in shares.items()}
+        _draw_shares(axes, places, colour, label, side)
     axes.set_xscale("log")
     axes.set_xticks(STRENGTH_BINS[1:-1], [f"{strength:g}" for strength in STRENGTH_BINS[1:-1]])
     axes.minorticks_off()
@@ -89,8 +96,10 @@ def _draw_reliability(axes: Axes, card: Card) -> None:
     finish(axes, title, "stated", "right")
 
 
-def _draw_shares(axes: Axes, shares: Mapping[float, Share], colour: str, label: str | None) -> None:
-    """Shares over their places with 95 % limits and the number of cases."""
+def _draw_shares(
+    axes: Axes, shares: Mapping[float, Share], colour: str, label: str | None, side: int = 1
+) -> None:
+    """Shares over their places with 95 % limits and the number of cases, on their left (-1) or right (1)."""
     there = {x: share for x, share in shares.items() if share.of}
     values = np.array([share.value for share in there.values()])
     limits = np.array([share.limits for share in there.values()]).reshape(-1, 2).T
@@ -98,8 +107,8 @@ def _draw_shares(axes: Axes, shares: Mapping[float, Share], colour: str, label: 
     axes.errorbar(
         list(there), values, yerr=reach, fmt="o-", color=colour, ms=4, lw=1.0, capsize=2, label=label
     )
+    towards = "left" if side > 0 else "right"
+    number = partial(axes.annotate, textcoords="offset points", ha=towards, fontsize=7, color=colour)
     for x, share in there.items():
-        axes.annotate(
-            str(share.of), (x, share.value), (4, -9), textcoords="offset points", fontsize=7, color=colour
-        )
+        number(str(share.of), (x, share.value), (4 * side, -9))
     axes.set_ylim(-0.03, 1.05)
