@@ -17,6 +17,7 @@ from labhil.physics.drive_balance import CUT_OFF, Balance, DriveMotion
 from labhil.physics.driven import DrivenPath
 from labhil.physics.extra_force import ExtraForce, MovedPart
 from labhil.physics.friction_terms import friction_terms, load_dependent_friction
+from labhil.physics.guesses import straight_starts, yardsticks_of
 from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.path_terms import input_terms, output_terms
 from labhil.physics.terms import TWO_WAVES, Enters, Parameter, Term, Yardstick
@@ -215,14 +216,7 @@ class AxisModel:
 
     def initial_states(self, record: Record, windows: Windows) -> FloatArray:
         """Position and slope of a straight line through the first samples of each window."""
-        states = np.empty((len(windows), 2))
-        count = max(4, int(STATE_SPAN / record.period))
-        for w, (first, last) in enumerate(zip(windows.first, windows.last, strict=True)):
-            stop = min(first + count, last)
-            t = record.t[first:stop] - record.t[first]
-            slope, start = np.polyfit(t, record.outputs[first:stop, 0], 1) if stop - first > 1 else (0.0, 0.0)
-            states[w] = start, slope
-        return states
+        return straight_starts(record, windows, STATE_SPAN)
 
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
         """Measured position in m, (N, 1)."""
@@ -286,15 +280,7 @@ class AxisModel:
 
     def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
         """What starts are fractions of, from this recording."""
-        u = record.inputs[:, 0]
-        steps = np.abs(np.diff(u)) / np.diff(record.t)
-        return {
-            Yardstick.UNIT: 1.0,
-            Yardstick.INPUT: float(np.abs(u).max()) or 1.0,
-            Yardstick.INPUT_RATE: float(np.quantile(steps, 0.98)) or 1.0,
-            Yardstick.DRIVE: self.sizes.force,
-            Yardstick.SPEED: self.sizes.speed,
-        }
+        return yardsticks_of(record, self.sizes.force, self.sizes.speed)
 
     def _mass(self, theta: FloatArray) -> float:
         return self._values.of(theta, "moving_mass") + self._values.of(theta, "added_inertia.mass")

@@ -15,6 +15,7 @@ from labhil.physics import input_path, rolling
 from labhil.physics.driven import lagged
 from labhil.physics.extra_force import ExtraForce, MovedPart
 from labhil.physics.friction_terms import friction_terms
+from labhil.physics.guesses import straight_starts
 from labhil.physics.model import Metric, Record, Windows, index_of, start_values
 from labhil.physics.path_terms import input_terms, offset_term, output_terms
 from labhil.physics.terms import Enters, Parameter, Term, Yardstick
@@ -26,6 +27,9 @@ SOLID_BALL = 0.4
 DEFAULT_HORIZON = 4.0
 SPEED = 0.2
 SPAN = 0.2
+
+STATE_SPAN = 0.15
+"""Seconds over which the first position and velocity of a window are guessed."""
 
 WAY_IN = (
     "backlash.gap",
@@ -163,14 +167,7 @@ class BallBeamModel:
 
     def initial_states(self, record: Record, windows: Windows) -> FloatArray:
         """Position and slope of a straight line through the first samples of each window."""
-        states = np.empty((len(windows), 2))
-        count = max(4, int(0.15 / record.period))
-        for w, (first, last) in enumerate(zip(windows.first, windows.last, strict=True)):
-            stop = min(first + count, last)
-            t = record.t[first:stop] - record.t[first]
-            slope, start = np.polyfit(t, record.outputs[first:stop, 0], 1) if stop - first > 1 else (0.0, 0.0)
-            states[w] = start, slope
-        return states
+        return straight_starts(record, windows, STATE_SPAN)
 
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
         """Measured position in m, (N, 1)."""

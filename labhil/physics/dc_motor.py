@@ -17,6 +17,7 @@ from labhil.physics import winding
 from labhil.physics.dc_motor_terms import REFERENCE, Sizes, catalogue, own_parameters
 from labhil.physics.driven import DrivenPath
 from labhil.physics.extra_force import ExtraForce, MovedPart
+from labhil.physics.guesses import yardsticks_of
 from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.terms import Term, Yardstick
 from labhil.physics.values import Values, horizon_of, known_numbers, near
@@ -185,15 +186,7 @@ class DcMotorModel:
 
     def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
         """What starts are fractions of, from this recording."""
-        u = record.inputs[:, 0]
-        steps = np.abs(np.diff(u)) / np.diff(record.t)
-        return {
-            Yardstick.UNIT: 1.0,
-            Yardstick.INPUT: float(np.abs(u).max()) or 1.0,
-            Yardstick.INPUT_RATE: float(np.quantile(steps, 0.98)) or 1.0,
-            Yardstick.DRIVE: self.sizes.torque,
-            Yardstick.SPEED: self.sizes.speed,
-        }
+        return yardsticks_of(record, self.sizes.torque, self.sizes.speed)
 
     def _inertia(self, theta: FloatArray) -> float:
         return self._values.of(theta, "inertia") + self._values.of(theta, "added_inertia.mass")

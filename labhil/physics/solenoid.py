@@ -23,6 +23,7 @@ from labhil.physics import input_path, sliding
 from labhil.physics.driven import DrivenPath
 from labhil.physics.extra_force import ExtraForce, MovedPart
 from labhil.physics.friction_terms import friction_terms, load_dependent_friction
+from labhil.physics.guesses import straight_starts
 from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.path_terms import input_terms, offset_term, output_terms
 from labhil.physics.terms import Enters, Parameter, Term, Yardstick
@@ -37,6 +38,10 @@ FORCE_MAP = {(1, 0): 8.0, (1, 1): 2.0, (1, 2): -3.0, (2, 0): 12.0, (2, 1): 1.5, 
 COLUMNS = ("coil_current", "plunger_position", "magnetic_force")
 PERIODS = 5.0
 DAMPING_TIMES = 3.0
+
+STATE_SPAN = 2e-3
+"""Seconds over which the first position and velocity of a window are guessed."""
+
 TYPICAL_MASS, TYPICAL_STIFFNESS = 0.05, 5000.0
 AMPLIFIER = ("actuator_lag", "backlash", "dead_zone", "rate_limit", "saturation")
 """Terms of an input that lie before the measured current."""
@@ -230,14 +235,7 @@ class SolenoidModel:
 
     def initial_states(self, record: Record, windows: Windows) -> FloatArray:
         """Position and slope of a straight line through the first samples of each window."""
-        states = np.empty((len(windows), 2))
-        count = max(4, int(2e-3 / record.period))
-        for w, (first, last) in enumerate(zip(windows.first, windows.last, strict=True)):
-            stop = min(first + count, last)
-            t = record.t[first:stop] - record.t[first]
-            slope, start = np.polyfit(t, record.outputs[first:stop, 0], 1) if stop - first > 1 else (0.0, 0.0)
-            states[w] = start, slope
-        return states
+        return straight_starts(record, windows, STATE_SPAN)
 
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
         """Measured position in m, (N, 1)."""
