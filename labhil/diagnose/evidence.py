@@ -9,7 +9,6 @@ import numpy as np
 from scipy import stats
 
 from labhil.identify.fitted import Fitted
-from labhil.identify.rounding import telling_share
 from labhil.identify.score import Score
 from labhil.identify.statistics import modelled_variance, neighbours
 from labhil.physics.model import Metric
@@ -67,7 +66,7 @@ class Left:
 def effective_samples(fitted: Fitted, joint: int | None = None) -> float:
     """How many independent residuals those of a fit are worth, or those of one joint's output."""
     problem = fitted.problem
-    return independent(_channels(fitted, joint), problem.begins, telling_share(problem.record, problem.sigma))
+    return independent(_channels(fitted, joint), problem.begins, problem.telling)
 
 
 def independent(residuals: FloatArray, begins: Sequence[int] = (0,), telling: float = 1.0) -> float:

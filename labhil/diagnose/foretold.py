@@ -27,7 +27,6 @@ from labhil.diagnose.evidence import (
 from labhil.diagnose.judge import ALPHA, NEEDED_BIC, Data
 from labhil.identify.fitted import Fitted, climb
 from labhil.identify.problem import Point, Problem
-from labhil.identify.rounding import telling_share
 from labhil.identify.score import Score
 from labhil.identify.window_states import States, fit_states, held_at, tried
 from labhil.signals import FloatArray
@@ -129,11 +128,10 @@ class _Slopes:
         lin = problem.linearise(Point(z, held.states), held.residuals)
         slopes = problem.project(lin, lin.by_parameters)
         rows = held.residuals.reshape(-1, len(problem.sigma))
-        share = telling_share(problem.record, problem.sigma)
-        worth = independent(rows, problem.begins, share) / max(held.cost, 1e-300)
+        worth = independent(rows, problem.begins, problem.telling) / max(held.cost, 1e-300)
         return cls(worth * slopes.T @ held.residuals, worth * slopes.T @ slopes, worth)
 
 
 def _left(problem: Problem, held: States, price: float) -> Left:
     rows = held.residuals.reshape(-1, len(problem.sigma))
-    return Left(rows, problem.begins, telling_share(problem.record, problem.sigma), float(price))
+    return Left(rows, problem.begins, problem.telling, float(price))

@@ -192,19 +192,20 @@ def _curves(final: Fitted, model: Yielding, part: MovedPart, halvings: int) -> l
 
 def _looks(short: Fitted, model: Yielding, part: MovedPart) -> list[Curved]:
     """Glances at a curve over each coordinate that varies, the one with the least criterion first."""
-    possible = [(short, c) for c in coordinates_of(model, part) + _given(short, part)]
+    looks = _glances(short, coordinates_of(model, part) + _given(short, part))
     where = _placed(short)
     if where is not short:
-        possible += [(where, c) for c in _places(where)]
-    asked = [(fitted, c, c.of(_along(fitted))) for fitted, c in possible]
-    looks = [glance(fitted, c, values) for fitted, c, values in asked if np.ptp(values) > 0.0]
+        looks += _glances(where, _places(where))
     effective = _worth(looks) if looks else 0.0
     return sorted(looks, key=lambda look: criterion(look, effective))
 
 
-def _along(fitted: Fitted) -> Mapping[str, FloatArray]:
+def _glances(fitted: Fitted, possible: Sequence[Coordinate]) -> list[Curved]:
+    """One at a curve over each of these coordinates that varies."""
     problem, states = fitted.problem, fitted.solution.point.states
-    return problem.model.coordinates(fitted.theta, problem.record, problem.windows, states)
+    along = problem.model.coordinates(fitted.theta, problem.record, problem.windows, states)
+    asked = [(coordinate, coordinate.of(along)) for coordinate in possible]
+    return [glance(fitted, coordinate, values) for coordinate, values in asked if np.ptp(values) > 0.0]
 
 
 def _placed(final: Fitted) -> Fitted:

@@ -8,9 +8,11 @@ as the model has free parameters, however many windows there are.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from labhil.identify.rounding import telling_share
 from labhil.identify.windows import noise_at
 from labhil.physics.model import Model, Record, Windows
 from labhil.signals import FloatArray, IntArray
@@ -79,6 +81,11 @@ class Problem:
         self.evaluations = 0
         self.guess = model.initial_states(record, windows)
         self._measured = record.outputs[windows.rows]
+
+    @cached_property
+    def telling(self) -> float:
+        """Share of the samples that is not the same rounding over again."""
+        return telling_share(self.record, self.sigma)
 
     def of_windows(self, chosen: IntArray) -> Problem:
         """The same problem on some of its windows only."""
