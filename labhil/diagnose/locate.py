@@ -11,7 +11,7 @@ from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score
 from labhil.physics.extra_force import Yielding
 from labhil.physics.model import Metric, Model, Record, Windows
-from labhil.physics.terms import Term
+from labhil.physics.terms import Term, unkeyed
 from labhil.signals import FloatArray
 
 SHARE = 0.8
@@ -33,7 +33,7 @@ CLEARER = 0.8
 
 @dataclass(frozen=True, slots=True)
 class Regime:
-    """A range of a coordinate, with the share of the excess squared error in it.
+    """A range of a coordinate where an effect lives, with the share of the excess squared error in it.
 
     Where no coordinate tells, it is one of the effect's own force, whose term then stands for the coordinate.
     """
@@ -43,6 +43,8 @@ class Regime:
     high: float
     share_of_excess: float
     unit: str = ""
+    term: str = ""
+    joint: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,14 +123,14 @@ class Contribution:
         return tuple(Regime(self.term, float(one.min()), float(one.max()), 0.0) for one in signs if len(one))
 
     def _told(self, regime: Regime, held: FloatArray) -> Regime:
-        """A regime with its unit and its share of what is held."""
+        """A regime with its effect, its unit and its share of what is held."""
         own = regime.coordinate == self.term
         values = self.values if own else self.coordinates[regime.coordinate]
         inside = (values >= regime.low) & (values <= regime.high)
         share = float(np.clip(held[inside].sum() / held.sum(), 0.0, 1.0)) if held.sum() > 0.0 else 0.0
-        return replace(
-            regime, share_of_excess=share, unit=self.unit if own else self.units[regime.coordinate]
-        )
+        unit = self.unit if own else self.units[regime.coordinate]
+        term, joint = unkeyed(self.term)
+        return replace(regime, share_of_excess=share, unit=unit, term=term, joint=joint)
 
 
 def _level_set(size: FloatArray, held: FloatArray) -> np.ndarray:

@@ -186,7 +186,9 @@ def _beyond_location(
         joint=joint,
         enters=beyond.enters,
         times=times,
-        regimes=tuple(replace(regime, unit=beyond.x_unit) for regime in regimes),
+        regimes=tuple(
+            replace(regime, unit=beyond.x_unit, term=beyond.term, joint=beyond.joint) for regime in regimes
+        ),
         statement=f"What {keyed(channel, joint)} is off by enters by the {beyond.enters} and follows {name}."
         + _not_all(after),
         recordings=recordings,

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +19,15 @@ from labhil.physics.terms import keyed
 from labhil.report.figure import AFTER, BEFORE, MEASURED, figure_of, finish, save
 from labhil.signals import FloatArray
 
+Panel = Callable[[Axes], None]
+"""What draws one panel."""
+
 FOR_THE_LEGEND = 0.2
 """Room above a curve, over its range: a formula is wide."""
 
 
 def diagnosis_plot(diagnosis: Diagnosis, path: Path) -> None:
-    """Write a page of four panels as PNG: simulation, errors, the missing effort, and errors as histogram.
+    """Write a page of panels as PNG: simulation, errors, each missing effect, and errors as histogram.
 
     UsageError when the file cannot be written or its extension is no format of pictures.
     """
@@ -30,18 +35,23 @@ def diagnosis_plot(diagnosis: Diagnosis, path: Path) -> None:
 
 
 def diagnosis_figure(diagnosis: Diagnosis) -> Figure:
-    """The four panels as a figure."""
-    figure = figure_of((11.0, 8.0))
-    axes = figure.subplots(2, 2)
-    j = _located(diagnosis)
-    _draw_windows(axes[0, 0], diagnosis, j)
-    _draw_errors(axes[0, 1], diagnosis, j)
-    _draw_missing(axes[1, 0], diagnosis)
-    _draw_histogram(axes[1, 1], diagnosis, j)
+    """The panels as a figure: two above, and below them one for each effect and the histogram."""
+    j = located(diagnosis)
+    below: list[Panel] = [*_missing(diagnosis), partial(_draw_histogram, diagnosis=diagnosis, j=j)]
+    columns = 2 if len(below) in (2, 4) else 3
+    rows = 1 + math.ceil(len(below) / columns)
+    figure = figure_of((11.0, 4.0 * rows))
+    grid = figure.add_gridspec(rows, 6)
+    _draw_windows(figure.add_subplot(grid[0, :3]), diagnosis, j)
+    _draw_errors(figure.add_subplot(grid[0, 3:]), diagnosis, j)
+    wide = 6 // columns
+    for i, draw in enumerate(below):
+        row, column = divmod(i, columns)
+        draw(figure.add_subplot(grid[1 + row, wide * column : wide * (column + 1)]))
     return figure
 
 
-def _located(diagnosis: Diagnosis) -> int:
+def located(diagnosis: Diagnosis) -> int:
     """Place of the output that is off by most; the first where nothing is located."""
     where = diagnosis.location
     if where is None:
@@ -96,41 +106,39 @@ def _draw_errors(axes: Axes, diagnosis: Diagnosis, j: int) -> None:
     finish(axes, "Error", time_axis(axes, record), channel.unit)
 
 
-def _draw_missing(axes: Axes, diagnosis: Diagnosis) -> None:
-    """The effort of each missing term, against the coordinate along which the strongest is concentrated."""
+def _missing(diagnosis: Diagnosis) -> list[Panel]:
+    """A panel for each effect that has a name, and for each curve of what has none."""
     if not diagnosis.missing:
-        axes.set_axis_off()
-        axes.text(0.5, 0.5, "nothing is missing", ha="center")
-        return
-    if diagnosis.curve is not None:
-        _draw_curve(axes, diagnosis.curve)
-        return
+        return [_draw_nothing]
+    named = [keyed(item.term, item.joint) for item in diagnosis.missing]
+    named = [term for term in named if term in diagnosis.final_fit.problem.model.terms]
+    curves = [*([diagnosis.curve] if diagnosis.curve is not None else []), *diagnosis.further_curves]
+    panels: list[Panel] = [partial(_draw_curve, curve=curve) for curve in curves]
+    if not named:
+        return panels
     seen = locate.HeldOut(diagnosis.held_out, diagnosis.before, diagnosis.after)
-    terms = [keyed(item.term, item.joint) for item in diagnosis.missing]
     joint = diagnosis.location.joint if diagnosis.location is not None else None
-    shares, regimes = locate.lived(diagnosis.final_fit, terms, seen, joint)
-    term = next((term for term, found in regimes.items() if found), next(iter(shares)))
-    units = shares[term].units
-    over = [regime.coordinate for regime in regimes[term]]
-    name = over[0] if over and over[0] in units else next(iter(units))
-    for i, (key, share) in enumerate(shares.items()):
-        largest = _shown_over(shares, key)
-        told = f"{key}, up to {largest:.3g}" if len(shares) > 1 else key
-        axes.scatter(
-            share.coordinates[name], share.values / largest, s=6, color=f"C{i}", alpha=0.5, lw=0, label=told
-        )
-    for number, regime in enumerate(regimes[term]):
-        label = f"where most of {term} lives" if number == 0 else None
-        # a regime of its own force lies across the picture
-        span, size = (axes.axvspan, 1.0) if name in over else (axes.axhspan, _shown_over(shares, term))
-        span(regime.low / size, regime.high / size, color=BEFORE, alpha=0.15, label=label)
-    effort = "missing effects, over their largest" if len(shares) > 1 else "missing effect, where it acts"
-    finish(axes, "What the baseline leaves out", f"{name}, {units[name]}", effort)
+    shares, regimes = locate.lived(diagnosis.final_fit, named, seen, joint)
+    return [partial(_draw_effect, share=shares[term], regimes=regimes[term]) for term in named] + panels
 
 
-def _shown_over(shares: Mapping[str, locate.Contribution], term: str) -> float:
-    """What a term is drawn over: several are in several units and sizes, each over its own largest value."""
-    return max(float(np.max(np.abs(shares[term].values))), 1e-300) if len(shares) > 1 else 1.0
+def _draw_nothing(axes: Axes) -> None:
+    axes.set_axis_off()
+    axes.text(0.5, 0.5, "nothing is missing", ha="center")
+
+
+def _draw_effect(axes: Axes, share: locate.Contribution, regimes: Sequence[locate.Regime]) -> None:
+    """What an effect adds, against the coordinate along which it is concentrated."""
+    over = {regime.coordinate for regime in regimes}
+    name = next((name for name in over if name in share.units), next(iter(share.units)))
+    axes.scatter(share.coordinates[name], share.values, s=6, color=AFTER, alpha=0.5, lw=0)
+    # a regime of its own force lies across the picture
+    span = axes.axvspan if name in over else axes.axhspan
+    for number, regime in enumerate(regimes):
+        label = "where most of it lives" if number == 0 else None
+        span(regime.low, regime.high, color=BEFORE, alpha=0.15, label=label)
+    effort = f"what it adds, {share.unit}" if share.unit else "what it adds"
+    finish(axes, f"Left out: {share.term}", f"{name}, {share.units[name]}", effort)
 
 
 def _draw_curve(axes: Axes, curve: Curve) -> None:

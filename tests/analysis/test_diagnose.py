@@ -15,6 +15,7 @@ from labhil.diagnose.answer import Diagnosis
 from labhil.diagnose.diagnosis import diagnose
 from labhil.diagnose.evidence import independent
 from labhil.identify.statistics import Estimate
+from labhil.report.plots import diagnosis_figure
 from labhil.report.results import Source, diagnosis_json
 
 BASELINE = ("viscous_friction",)
@@ -121,6 +122,22 @@ def test_the_stribeck_peak_lives_at_low_speed(dry):
     assert "ball_velocity" in location.statement
     assert location.times
     assert all(0.0 <= begin < end <= 20.0 for begin, end in location.times)
+
+
+@pytest.mark.extended
+def test_every_regime_says_whose_it_is_and_every_effect_is_drawn_over_its_own_coordinate(dry):
+    terms = {item.term for item in dry.missing}
+    assert {regime.term for regime in dry.location.regimes} <= terms
+    assert all(regime.joint is None for regime in dry.location.regimes)
+    titles = {axes.get_title(loc="left"): axes.get_xlabel() for axes in diagnosis_figure(dry).axes}
+    assert titles["Left out: stribeck_friction"] == "ball_velocity, m/s"
+    assert {f"Left out: {term}" for term in terms} < set(titles)
+
+
+def test_where_nothing_is_missing_nothing_is_drawn_of_it(null):
+    titles = [axes.get_title(loc="left") for axes in diagnosis_figure(null).axes]
+    assert len(titles) == 4
+    assert not any(title.startswith("Left out") for title in titles)
 
 
 @pytest.mark.extended

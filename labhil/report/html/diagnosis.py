@@ -175,6 +175,7 @@ def _location(where: LocationPart | None) -> Section | None:
     )
     rows = [
         (
+            tag("code", keyed(r.term, r.joint)),
             tag("code", r.coordinate),
             quantity(r.low, r.unit),
             quantity(r.high, r.unit),
@@ -182,8 +183,8 @@ def _location(where: LocationPart | None) -> Section | None:
         )
         for r in where.regimes
     ]
-    columns = (*text("Coordinate"), *numbers("From", "To", "Share of the excess"))
-    regimes = table("Regimes that hold the excess squared error", columns, rows) if rows else None
+    columns = (*text("Effect", "Coordinate"), *numbers("From", "To", "Share of the excess"))
+    regimes = table("Where each effect lives", columns, rows) if rows else None
     return section("Where the mismatch is", told, regimes)
 
 

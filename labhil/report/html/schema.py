@@ -175,13 +175,15 @@ class ChangePart(Part):
 
 
 class RegimePart(Part):
-    """A range of a coordinate in which the excess error lives."""
+    """A range of a coordinate in which an effect lives."""
 
     coordinate: str
     low: Number
     high: Number
     share_of_excess: Number = None
     unit: str = ""
+    term: str = ""
+    joint: int | None = None
 
 
 class LocationPart(Part):

@@ -12,7 +12,7 @@ from labhil.report.html.fit import fit_page
 from labhil.report.html.page import write_page
 from labhil.report.html.picture import Album
 from labhil.report.html.schema import DiagnosisPart, FitPart, checked
-from labhil.report.plots import channel_figure, diagnosis_figure
+from labhil.report.plots import channel_figure, diagnosis_figure, located
 from labhil.report.study import DiagnosisResult, FitResult
 
 
@@ -32,12 +32,13 @@ def write_diagnosis_page(result: DiagnosisResult, path: Path) -> None:
     """Write the page of a diagnosis; UsageError when the file cannot be written."""
     album = Album()
     caption = (
-        "Windows simulated before and after, their errors over time with the noise floor, what the baseline "
-        "leaves out over the coordinate where it lives, and how the errors are distributed."
+        "Windows simulated before and after, their errors over time with the noise floor, each effect that "
+        "the baseline leaves out over the coordinate where it lives, and how the errors are distributed."
     )
     found = result.diagnosis
     drawn = [album.picture(caption, lambda: diagnosis_figure(found))]
-    drawn += [_channel_picture(album, result, j) for j in range(1, len(found.after.channels))]
+    others = [j for j in range(len(found.after.channels)) if j != located(found)]
+    drawn += [_channel_picture(album, result, j) for j in others]
     diagnosis = checked(DiagnosisPart, result.json, "the diagnosis")
     write_page(diagnosis_page(diagnosis, _foot(diagnosis), album, drawn), path)
 
