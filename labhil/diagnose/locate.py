@@ -115,6 +115,11 @@ class Contribution:
         found = regimes({name: self.coordinates[name] for name in self.units}, large.astype(np.float64))
         return tuple(self._told(regime, held) for regime in found or self._sizes(large))
 
+    def revealed_over(self, stretches: Sequence[Regime]) -> str:
+        """The coordinate that its ``stretches`` are of, or else the one that it follows best."""
+        of_them = (regime.coordinate for regime in stretches if regime.coordinate in self.units)
+        return next(of_them, max(self.units, key=lambda name: _followed(self.values, self.coordinates[name])))
+
     def _sizes(self, large: np.ndarray) -> tuple[Regime, ...]:
         """The sizes of a force where it is ``large`` (N,), by sign; none if that is nearly everywhere."""
         if not self.unit or not 0.0 < np.mean(large) < MOST_SAMPLES:
@@ -236,14 +241,29 @@ def regimes(coordinates: Mapping[str, FloatArray], excess: FloatArray) -> tuple[
     return best[1]
 
 
+def _followed(values: FloatArray, coordinate: FloatArray) -> float:
+    """The share of the variance of ``values`` (N,) that their mean in bins of a ``coordinate`` (N,) has."""
+    if np.ptp(coordinate) <= 0.0:
+        return 0.0
+    _, place = _binned(coordinate)
+    count = np.maximum(np.bincount(place), 1)
+    mean = np.bincount(place, values) / count
+    return float(np.var(mean[place]) / max(np.var(values), 1e-300))
+
+
+def _binned(values: FloatArray) -> tuple[FloatArray, np.ndarray]:
+    """Edges of bins of equally many samples, and which bin each of ``values`` (N,), not all alike, is in."""
+    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, BINS + 1)))
+    return edges, np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
+
+
 def _densest(values: FloatArray, excess: FloatArray) -> tuple[float, list[tuple[float, float]]]:
     """Share of the samples in the densest stretches that hold the share, and their bounds.
 
     Bins of equally many samples are taken in the order of their density, and gaps filled until few runs are
     left.
     """
-    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, BINS + 1)))
-    place = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
+    edges, place = _binned(values)
     weight = np.bincount(place, excess, len(edges) - 1)
     count = np.bincount(place, minlength=len(edges) - 1)
     chosen = np.zeros(len(weight), dtype=bool)

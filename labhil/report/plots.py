@@ -128,13 +128,12 @@ def _draw_nothing(axes: Axes) -> None:
 
 
 def _draw_effect(axes: Axes, share: locate.Contribution, regimes: Sequence[locate.Regime]) -> None:
-    """What an effect adds, against the coordinate along which it is concentrated."""
-    over = {regime.coordinate for regime in regimes}
-    name = next((name for name in over if name in share.units), next(iter(share.units)))
+    """What an effect adds, against the coordinate that reveals it."""
+    name = share.revealed_over(regimes)
     axes.scatter(share.coordinates[name], share.values, s=6, color=AFTER, alpha=0.5, lw=0)
-    # a regime of its own force lies across the picture
-    span = axes.axvspan if name in over else axes.axhspan
     for number, regime in enumerate(regimes):
+        # a regime of its own force lies across the picture
+        span = axes.axvspan if regime.coordinate == name else axes.axhspan
         label = "where most of it lives" if number == 0 else None
         span(regime.low, regime.high, color=BEFORE, alpha=0.15, label=label)
     effort = f"what it adds, {share.unit}" if share.unit else "what it adds"

@@ -188,6 +188,17 @@ def test_what_no_coordinate_holds_together_lives_at_sizes_of_its_own_force():
     assert replace(share, values=np.sign(wave)).regimes() == ()
 
 
+def test_an_effect_that_lives_everywhere_is_drawn_over_what_it_follows():
+    x = np.linspace(-1.0, 1.0, 4001)
+    v = np.cos(40.0 * x)
+    along, units = {"x": x, "v": v}, {"x": "m", "v": "m/s"}
+    dry = locate.Contribution("coulomb_friction", -np.sign(v), "N", along, units, None)
+    assert dry.regimes() == ()
+    assert dry.revealed_over(()) == "v"
+    ends = replace(dry, values=np.maximum(np.abs(x) - 0.8, 0.0))
+    assert ends.revealed_over(ends.regimes()) == "x"
+
+
 def test_correlated_residuals_are_worth_fewer():
     random = np.random.default_rng(2)
     white = random.standard_normal(20_000)

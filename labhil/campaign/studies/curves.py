@@ -38,17 +38,13 @@ def curves_of_diagnosis(result: DiagnosisResult) -> dict[str, Any]:
 
     diagnosis = result.diagnosis
     curves = _channels(result.material.judge, {"before": diagnosis.before, "after": diagnosis.after})
-    shares = {}
     for item in diagnosis.missing:
         key = keyed(item.term, item.joint)
         try:
-            shares[key] = locate.contribution(diagnosis.final_fit, key)
+            share = locate.contribution(diagnosis.final_fit, key)
         except KeyError:  # what has no name has a curve of its own
             continue
-    # all over the same coordinate: the one along which the strongest that has any is concentrated
-    common = next((regimes[0].coordinate for share in shares.values() if (regimes := share.regimes())), None)
-    for key, share in shares.items():
-        name = common if common is not None and common in share.units else next(iter(share.units))
+        name = share.revealed_over(share.regimes())
         x, y = np.asarray(share.coordinates[name]), np.asarray(share.values)
         step = max(1, len(x) // MOST_DOTS)
         curves[f"missing/{key}"] = y[::step].astype(np.float32)
