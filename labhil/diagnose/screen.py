@@ -15,6 +15,7 @@ from labhil.identify.fitted import Fitted
 from labhil.identify.projection import Unexplained, orthonormal
 from labhil.identify.waves import starts_beside
 from labhil.physics.model import Model, index_of, terms_named
+from labhil.physics.terms import listed
 from labhil.signals import FloatArray
 
 Progress = Callable[[str], None]
@@ -47,7 +48,7 @@ def rank(
     would let a wrong third explain a little of both.
     """
     groups = candidates(data.model, current.terms)
-    progress(f"screening {len(groups)} candidates and their pairs beside {', '.join(current.terms)}")
+    progress(f"screening {len(groups)} candidates and their pairs beside {', '.join(listed(current.terms))}")
     screen = Screen.of(data, current)
     columns = list(executor.map(screen.columns_of, groups))
     single = [screen.candidate([own], group) for own, group in zip(columns, groups, strict=True)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from enum import StrEnum
 from math import pi
@@ -124,6 +125,15 @@ def unkeyed(key: str) -> tuple[str, int | None]:
     """Name and joint that :func:`keyed` made a key of."""
     name, _, joint = key.removesuffix("]").partition("[")
     return name, int(joint) if joint else None
+
+
+def listed(keys: Iterable[str]) -> list[str]:
+    """Keys for people: all joints of a name in one pair of brackets, ``coulomb_friction[0, 1, 2]``."""
+    joints: dict[str, list[str]] = {}
+    for name, joint in map(unkeyed, keys):
+        of = joints.setdefault(name, [])
+        of += [] if joint is None else [str(joint)]
+    return [f"{name}[{', '.join(of)}]" if of else name for name, of in joints.items()]
 
 
 def keyed(name: str, joint: int | None, recording: int | None = None) -> str:

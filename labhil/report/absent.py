@@ -6,6 +6,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from rich.table import Table
+
+from labhil.physics.terms import keyed, listed
+from labhil.report.html.quantity import quantity
+
 
 class Limit(Protocol):
     """The largest size of a term's main parameter that could hide."""
@@ -55,6 +60,20 @@ def joints_in(rows: Iterable[OfJoints]) -> list[int]:
     return sorted({joint for row in rows for joint in row.largest})
 
 
+def joints_table(rows: Sequence[OfJoints], style: str) -> Table:
+    """What could still hide, a column for each joint."""
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), style=style, header_style=style)
+    joints = joints_in(rows)
+    table.add_column("effect", no_wrap=True)
+    for joint in joints:
+        table.add_column(str(joint), justify="right", no_wrap=True)
+    table.add_column("unit", no_wrap=True)
+    for row in rows:
+        cells = [quantity(row.largest.get(joint), digits=2) for joint in joints]
+        table.add_row(row.term, *cells, row.unit if row.unit != "1" else "")
+    return table
+
+
 class Silent(Protocol):
     """A term of which data cannot speak."""
 
@@ -90,11 +109,8 @@ class Silence:
 
 def silences(undecided: Iterable[Silent]) -> list[Silence]:
     """One for each term and reason, in the order of the terms."""
-    joints: dict[tuple[str, str, tuple[str, ...]], list[str]] = {}
+    keys: dict[tuple[str, str, tuple[str, ...]], list[str]] = {}
     for each in undecided:
-        of = joints.setdefault((each.term, each.reason, tuple(each.needs)), [])
-        of += [] if each.joint is None else [str(each.joint)]
-    return [
-        Silence(f"{term}[{', '.join(of)}]" if of else term, reason, needs)
-        for (term, reason, needs), of in joints.items()
-    ]
+        of = keys.setdefault((each.term, each.reason, tuple(each.needs)), [])
+        of.append(keyed(each.term, each.joint))
+    return [Silence(listed(of)[0], reason, needs) for (_, reason, needs), of in keys.items()]

@@ -14,8 +14,8 @@ from labhil.identify.fit import Fit
 from labhil.identify.score import ChannelScore, Figures, Score
 from labhil.identify.statistics import Estimate
 from labhil.physics.model import Metric
-from labhil.physics.terms import keyed
-from labhil.report.absent import OfJoints, joints_in, of_joints, silences
+from labhil.physics.terms import keyed, listed
+from labhil.report.absent import joints_table, of_joints, silences
 from labhil.report.html.quantity import quantity, squared
 from labhil.report.verdicts import VERDICTS
 
@@ -210,9 +210,8 @@ def diagnosis_text(diagnosis: Diagnosis) -> RenderableType:
 def _found(diagnosis: Diagnosis) -> Iterator[RenderableType]:
     """Verdict, faults, place, missing terms with their rivals, changed values."""
     yield Text(VERDICTS[diagnosis.verdict], style="bold")
-    yield Text(
-        f"Baseline: {', '.join(diagnosis.baseline_terms)}; p {small(diagnosis.p_value)} that it suffices."
-    )
+    terms = ", ".join(listed(diagnosis.baseline_terms))
+    yield Text(f"Baseline: {terms}; p {small(diagnosis.p_value)} that it suffices.")
     for fault in diagnosis.faults:
         yield Text(f"! {fault.statement}", style="yellow")
     if diagnosis.location is not None:
@@ -262,31 +261,10 @@ def _not_found(diagnosis: Diagnosis) -> Iterator[RenderableType]:
         yield Text(f"{NOT_THERE}: {', '.join(limits)}", style="dim")
     rows = of_joints(diagnosis.excluded)
     if rows:
-        yield _joints_table(rows)
+        yield Text(f"{NOT_THERE}, by joint", style="dim")
+        yield joints_table(rows, "dim")
     by_reason: dict[str, list[str]] = {}
     for silence in silences(diagnosis.undecided):
         by_reason.setdefault(silence.reason, []).append(silence.name)
     for reason, names in by_reason.items():
         yield Text(f"Undecided: {', '.join(names)}: {reason}.", style="dim")
-
-
-def _joints_table(rows: Sequence[OfJoints]) -> Table:
-    """What could still hide, a column for each joint."""
-    table = Table(
-        title=f"{NOT_THERE}, by joint",
-        title_justify="left",
-        title_style="dim",
-        style="dim",
-        header_style="dim",
-        box=None,
-        pad_edge=False,
-    )
-    joints = joints_in(rows)
-    table.add_column("effect")
-    for joint in joints:
-        table.add_column(str(joint), justify="right")
-    table.add_column("unit")
-    for row in rows:
-        cells = [quantity(row.largest.get(joint), digits=2) for joint in joints]
-        table.add_row(row.term, *cells, row.unit if row.unit != "1" else "")
-    return table

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from labhil.physics.terms import keyed
-from labhil.report.absent import silences
+from labhil.physics.terms import keyed, listed
+from labhil.report.absent import joints_table, of_joints, silences
 from labhil.report.html.quantity import chance, interval, multiple, p_value, percent, quantity
 from labhil.report.html.schema import (
     ChannelErrors,
@@ -34,7 +34,6 @@ VERDICT_LOOKS = {
     "data_fault": ("▲", "error"),
     "not_decidable": ("○", "muted"),
 }
-MOST_EXCLUDED = 12
 
 
 def result_renderable(part: FitPart | DiagnosisPart, colours: Colours) -> RenderableType:
@@ -145,7 +144,7 @@ def _plain_table(words: Sequence[str], numbers: Sequence[str]) -> Table:
 
 def _how(fit: FitPart, colours: Colours) -> Text:
     text = Text(style=colours["muted"])
-    text.append(f"terms: {', '.join(fit.terms)}\n")
+    text.append(f"terms: {', '.join(listed(fit.terms))}\n")
     text.append(f"estimator {fit.estimator}, seed {fit.seed}, {fit.evaluations} simulations")
     text.append(f", {quantity(fit.seconds, 's', 3)}\n")
     text.append(f"residuals white with p {p_value(fit.residuals.ljung_box_p)}, ")
@@ -166,7 +165,7 @@ def diagnosis_text(found: DiagnosisPart, colours: Colours) -> RenderableType:
     sign, colour = VERDICT_LOOKS[found.verdict]
     head = Text()
     head.append(f"{sign} {VERDICTS[found.verdict]}\n", style=f"bold {colours[colour]}")
-    head.append(f"baseline {', '.join(found.baseline.terms)}; ", style=colours["muted"])
+    head.append(f"baseline {', '.join(listed(found.baseline.terms))}; ", style=colours["muted"])
     head.append(f"p {p_value(found.p_value)} that it suffices\n", style=colours["muted"])
     for fault in found.faults:
         head.append(f"▲ {fault.statement}\n", style=colours["warning"])
@@ -184,8 +183,7 @@ def diagnosis_text(found: DiagnosisPart, colours: Colours) -> RenderableType:
     if found.improvement is not None:
         parts += [_title("How much better", colours), _improvement(found.improvement, colours)]
     parts += [_title("The model that is left", colours), parameter_table(found.final.parameters, colours)]
-    parts.append(_rest(found, colours))
-    return Group(*parts)
+    return Group(*parts, *_rest(found, colours))
 
 
 def _missing(item: MissingPart, rivals: Sequence[RivalPart], colours: Colours) -> RenderableType:
@@ -260,15 +258,18 @@ def _bars(better: ImprovementPart, colours: Colours) -> Text:
     return text
 
 
-def _rest(found: DiagnosisPart, colours: Colours) -> Text:
-    text = Text("\n", style=colours["muted"])
-    if found.excluded:
-        shown = [
-            f"{keyed(e.term, e.joint, e.recording)} {quantity(e.largest_hidden, e.unit, 2)}"
-            for e in found.excluded
-        ]
-        more = f" and {len(shown) - MOST_EXCLUDED} more" if len(shown) > MOST_EXCLUDED else ""
-        text.append(f"Not there, or smaller than: {', '.join(shown[:MOST_EXCLUDED])}{more}.\n")
+def _rest(found: DiagnosisPart, colours: Colours) -> Iterator[RenderableType]:
+    """What could still hide, of what the data cannot speak, and what was read."""
+    muted = colours["muted"]
+    whole = [e for e in found.excluded if e.joint is None]
+    limits = [f"{keyed(e.term, None, e.recording)} {quantity(e.largest_hidden, e.unit, 2)}" for e in whole]
+    if limits:
+        yield Text(f"\nNot there, or smaller than: {', '.join(limits)}.", style=muted)
+    by_joint = of_joints(found.excluded)
+    if by_joint:
+        yield Text("\nNot there, or smaller than this, by joint", style=muted)
+        yield joints_table(by_joint, muted)
+    text = Text("\n", style=muted)
     for silence in silences(found.undecided):
         text.append(f"Undecided: {silence.name}: {silence.reason}.\n")
-    return text.append(_sources(found))
+    yield text.append(_sources(found))

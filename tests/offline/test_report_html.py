@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import io
 import json
+import re
+from collections import defaultdict
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from labhil.recording.writer import RecordingWriter
 from labhil.report.html.diagnosis import diagnosis_page
@@ -16,10 +20,11 @@ from labhil.report.html.element import tag
 from labhil.report.html.fit import fit_page
 from labhil.report.html.picture import Album
 from labhil.report.html.quantity import chance, interval, percent, quantity
-from labhil.report.html.schema import DiagnosisPart, FitPart
+from labhil.report.html.schema import DiagnosisPart, FitPart, checked
 from labhil.report.html.signals import STRETCHES, envelope
 from labhil.report.verdicts import VERDICTS
 from labhil.signals import Batch, Direction, Signal, Stream
+from labhil.tui.result_text import result_renderable
 
 EVIL = '<script>alert("x")</script>&$a_b'
 VOID = {"meta", "br", "hr", "img", "col", "wbr"}
@@ -184,6 +189,13 @@ def test_the_page_of_a_diagnosis_says_what_the_diagnosis_says(page, diagnosis):
         assert said in text, said
 
 
+def on_screen(result: dict[str, Any]) -> str:
+    """What the terminal UI writes of a diagnosis."""
+    console = Console(width=120, record=True, file=io.StringIO())
+    console.print(result_renderable(checked(DiagnosisPart, result, "the diagnosis"), defaultdict(str)))
+    return console.export_text()
+
+
 def test_what_is_not_there_of_an_arm_stands_by_joint(page, diagnosis):
     limits = [("torque_ripple", 0, 0.035), ("torque_ripple", 2, 0.0058), ("torque_constant", 2, 0.0025)]
     units = {"torque_ripple": "N·m", "torque_constant": "1"}
@@ -194,8 +206,15 @@ def test_what_is_not_there_of_an_arm_stands_by_joint(page, diagnosis):
     diagnosis["undecided"] = [
         {"term": "temperature_dependent_friction", "joint": j, "needs": [], "reason": "none"} for j in (0, 1)
     ]
+    diagnosis["baseline"]["terms"] = ["coulomb_friction[0]", "viscous_friction[0]", "coulomb_friction[1]"]
+    screen = on_screen(diagnosis)
+    assert "baseline coulomb_friction[0, 1], viscous_friction[0];" in screen
+    assert "temperature_dependent_friction[0, 1]" in screen
+    assert re.search(r"torque_ripple +0\.035 +0\.0058 +N·m", screen)
+    assert re.search(r"torque_constant +– +0\.0025", screen)
     text = page(diagnosis).text
     assert "temperature_dependent_friction[0, 1]" in text
+    assert "coulomb_friction[0, 1]" in text
     table = text[text.index("The same by joint") :]
     told = ("Joint 0", "Joint 2", "torque_ripple", "0.035", "0.0058", "N·m", "torque_constant", "–", "0.0025")
     places = [table.index(said) for said in told]

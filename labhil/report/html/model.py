@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from labhil.physics.terms import keyed
+from labhil.physics.terms import keyed, listed
 from labhil.report.figure import AFTER, figure_of, finish
 from labhil.report.html.element import Content, Markup, joined, tag
 from labhil.report.html.picture import Album, label
@@ -170,8 +170,8 @@ def warning(*content: Content) -> Markup:
 
 
 def names(terms: Sequence[str]) -> Markup:
-    """Names of terms as code, with commas."""
+    """Names of terms as code, with commas; the joints of a name together."""
     pieces: list[Content] = []
-    for i, term in enumerate(terms):
+    for i, term in enumerate(listed(terms)):
         pieces += [", " if i else None, tag("code", term)]
     return joined(pieces)
