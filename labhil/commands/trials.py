@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from labhil.console import refuse_unwritable, results_console, status, write_json
+from labhil.cores import cores
 
 if TYPE_CHECKING:
     from labhil.campaign.trials.card import Card
@@ -65,7 +65,7 @@ def trial_make(
 
     order = Order(rig, trials, effects, out, answers or answers_beside(out), seed, first=first)
     with status() as say:
-        index = make_trials(order, jobs or _cores(), say)
+        index = make_trials(order, jobs or cores(), say)
     if index.fixed_seed:
         print(f"Drawn from the fixed seed {seed}: good for tests, no secret to anyone who knows it.")
     print(f"{len(index.trials)} trials of {rig} in {order.out}, answers in {order.answers}")
@@ -86,7 +86,7 @@ def trial_run(
     from labhil.campaign.trials.run import run_trials
 
     with status() as say:
-        sealed = run_trials(folder, jobs or _cores(), say, method)
+        sealed = run_trials(folder, jobs or cores(), say, method)
     results = Results(folder, method)
     print(f"Results in {folder / results.name}; SHA-256 of their hashes ({results.hashes}): {sealed}")
 
@@ -108,7 +108,7 @@ def trial_score(
 
     refuse_unwritable(json_path, plot_path)
     with status() as say:
-        card = score_trials(folder, answers, say, method, jobs or _cores())
+        card = score_trials(folder, answers, say, method, jobs or cores())
     _tell(card, json_path, plot_path)
 
 
@@ -131,7 +131,7 @@ def trial_benchmark(
 
     refuse_unwritable(json_path, plot_path)
     with status() as say:
-        plan = Plan(rig, trials, out, seed, method, jobs or _cores(), first)
+        plan = Plan(rig, trials, out, seed, method, jobs or cores(), first)
         card = run_trial_benchmark(plan, say)
     _tell(card, json_path, plot_path)
 
@@ -175,7 +175,3 @@ def _tell(card: Card, json_path: Path | None, plot_path: Path | None) -> None:
         from labhil.campaign.trials.plot import plot
 
         plot(card, plot_path)
-
-
-def _cores() -> int:
-    return os.cpu_count() or 1

@@ -7,11 +7,11 @@ support.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
+from labhil.cores import cores
 from labhil.diagnose.evidence import best_heldout_gain, effective_samples, search_p_value
 from labhil.diagnose.foretold import compare
 from labhil.diagnose.found import Found, Trail
@@ -54,7 +54,7 @@ def search(data: Data, baseline: Fitted, progress: Progress) -> Found:
     looks = len(candidates(data.model, baseline.terms))
     trail = Trail(baseline, [])
     trail.begin(baseline)
-    with ThreadPoolExecutor(os.cpu_count()) as executor:
+    with ThreadPoolExecutor(cores()) as executor:
         hunt = Hunt(data, baseline, looks, executor, progress)
         hunt.follow(trail)
         if data.model.state_names:

@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from labhil.cores import cores
 from labhil.doctor.finding import Finding, broken, fine, note
 
 TIMER_RATE = 500.0
@@ -28,12 +29,11 @@ FEWEST_CORES = 2
 
 def check_cores() -> Iterator[Finding]:
     """How many cores may be used, and how busy they are."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    load = os.getloadavg()[0]
-    found = f"{cores} for this process, load {load:.1f}"
-    if cores < FEWEST_CORES:
+    usable, load = cores(), os.getloadavg()[0]
+    found = f"{usable} for this process, load {load:.1f}"
+    if usable < FEWEST_CORES:
         yield note("cores", found, "record or fit, not both at once: one core has to do all of it")
-    elif load > 2 * cores:
+    elif load > 2 * usable:
         yield note("cores", found, "wait for other work to end before a run in real time")
     else:
         yield fine("cores", found)

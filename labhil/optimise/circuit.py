@@ -20,7 +20,6 @@ discretisation's noise.
 
 from __future__ import annotations
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 from math import log, pi, sqrt, tan
 from typing import NamedTuple
@@ -28,6 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from labhil.compiled import compiled
+from labhil.cores import cores
 from labhil.errors import RunError
 from labhil.optimise.geometry import HOUSING, Housing, checked
 from labhil.optimise.steel import FREE_CUTTING, MU0, Steel, magnetised
@@ -92,7 +92,7 @@ def force_curves(
     table = checked(designs)
     mmf = housing.turns * (housing.current if current is None else current)
     energies = np.empty((len(table), len(positions(housing)) + 1))
-    parts = np.array_split(np.arange(len(table)), min(os.cpu_count() or 1, max(1, len(table) // 4)))
+    parts = np.array_split(np.arange(len(table)), min(cores(), max(1, len(table) // 4)))
     with ThreadPoolExecutor(len(parts)) as threads:
         runs = [
             threads.submit(_coenergies, table[part], mmf, housing, steel, energies[part[0] : part[-1] + 1])

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from labhil.cores import cores
 from labhil.report.results import finite
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def each_once(
     done = {job_of(result): result for result in (parse(json.loads(line)) for line in lines if line)}
     missing = [job for job in wanted if job not in done]
     if missing:
-        with path.open("a", encoding="utf-8") as file, ProcessPoolExecutor(os.cpu_count()) as executor:
+        with path.open("a", encoding="utf-8") as file, ProcessPoolExecutor(cores()) as executor:
             futures = [executor.submit(work, *job) for job in missing]
             try:
                 for count, future in enumerate(as_completed(futures), 1):
