@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from labhil.diagnose.evidence import Evidence
 from labhil.identify.fitted import Fitted
@@ -48,6 +48,11 @@ class Found:
     p_value: float
     looks: int
     errors: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def nothing(self) -> Found:
+        """The same search if nothing of what it found is told."""
+        return replace(self, final=self.baseline, missing=(), rivals=())
 
     def step(self, term: str) -> Step:
         """The step that added a term; StopIteration where it was none that counts."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -193,16 +194,32 @@ def climb(
     """Fit on longer and longer windows (s), each from where the one before ended.
 
     Short windows lead to the neighbourhood whatever the start, long ones to the estimate. The terms
-    ``fresh`` begin at each of their own starts on the first.
+    ``fresh`` begin at each of their own starts on the first. What ends at a bound has lost its way (a mass,
+    on windows too short to show it) and begins once more.
     """
     rungs: list[Fitted] = []
     for length in lengths:
         begin = rungs[-1].theta if rungs else start
-        new_terms = () if rungs else fresh
-        rungs.append(
-            fit_terms(model, record, terms, length, sigma, start=begin, new_terms=new_terms, held=held)
+        fit = partial(
+            fit_terms, model, record, terms, length, sigma, new_terms=() if rungs else fresh, held=held
         )
+        rung = fit(start=begin)
+        back = _off_bounds(rung, begin)
+        if back is not None:
+            rung = min(rung, fit(start=back), key=lambda each: each.solution.cost)
+        rungs.append(rung)
     return rungs
+
+
+def _off_bounds(rung: Fitted, begin: FloatArray) -> FloatArray | None:
+    """The vector with the rig's sizes that ended at a bound at their start; None if they began there."""
+    parameters = rung.problem.model.parameters
+    lost = [
+        i for i in rung.problem.free if parameters[i].term is None and parameters[i].at_bound(rung.theta[i])
+    ]
+    back = rung.theta.copy()
+    back[lost] = start_values(parameters)[lost]
+    return None if np.array_equal(back[lost], begin[lost]) else back
 
 
 def longest_trusted(rungs: Sequence[Fitted]) -> int:

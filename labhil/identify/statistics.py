@@ -227,9 +227,7 @@ def estimates(
         value, error = float(values[i]), float(np.sqrt(max(covariance[i, i], 0.0)))
         z = value / error if error > 0 else float("inf")
         p_value = float(2.0 * stats.norm.sf(abs(z)))
-        at_bound = bool(value <= parameter.lower + 1e-9 * parameter.scale) or bool(
-            value >= parameter.upper - 1e-9 * parameter.scale
-        )
+        at_bound = parameter.at_bound(value)
         identifiable = 0.0 < error < max(parameter.scale, abs(value)) and not unknown[i]
         rows.append(
             Estimate(

@@ -87,6 +87,11 @@ class Parameter:
         """The value that it has while its term is not in the model."""
         return self.scale if self.shape else 0.0
 
+    def at_bound(self, value: float) -> bool:
+        """Whether a value lies at one of the bounds, to rounding."""
+        near = 1e-9 * self.scale
+        return bool(value <= self.lower + near or value >= self.upper - near)
+
 
 @dataclass(frozen=True, slots=True)
 class Term:
