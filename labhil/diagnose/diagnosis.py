@@ -86,8 +86,12 @@ def diagnose(
         return _unsearched(data, base, "not_decidable", reason, faults, heldout_is_test, began)
     look = partial(_found, terms=terms, reference=reference, accepted=accepted, progress=progress)
     end = _concluded(*_looked_wider(data, look(data, base), look, progress), progress)
+    if end.says_nothing:
+        progress("no name holds on long windows: the search once more on short ones alone")
+        short = look(data, base, longer=False)
+        end = _concluded(data, short, left_by(data, short.final), progress) if short.missing else end
     found, curves, told, claimed = end.found, end.curves, strongest(end.curves), end.doubts
-    final = curves[-1].rows if curves else _rows(found)
+    final = _rows(found, curves)
     changed = _changes(final, reference)
     wider = end.data.test is not data.test
     return Diagnosis(
@@ -138,6 +142,11 @@ class Concluded:
     before: Score
     after: Score
     sigma: FloatArray
+
+    @property
+    def says_nothing(self) -> bool:
+        """Whether there is a mismatch that neither a name nor a curve explains."""
+        return self.more and not self.found.missing and not self.curves and bool(self.data.model.state_names)
 
     @property
     def accepted(self) -> tuple[Model, FloatArray]:
@@ -196,15 +205,16 @@ def _found(
     reference: Mapping[str, float] | None,
     accepted: Accepted | None,
     progress: Callable[[str], None],
+    longer: bool = True,
 ) -> Found:
     """Search once; with values of the user's own sizes, once more with these held."""
-    found = with_load(data, search(data, base, progress), accepted)
+    found = with_load(data, search(data, base, progress, longer=longer), accepted)
     sizes = _sizes(data.model, reference) if reference is not None and not found.errors else frozenset()
     if not sizes:
         return found
     progress("the same with the sizes of the given model held")
     held = replace(data, held=sizes)
-    return _simpler(found, search(held, fit_baseline(held, terms), progress))
+    return _simpler(found, search(held, fit_baseline(held, terms), progress, longer=longer))
 
 
 def _looked_wider(
@@ -305,10 +315,10 @@ def _excited(record: Record, sigma: np.ndarray) -> bool:
     )
 
 
-def _rows(found: Found) -> list[Estimate]:
+def _rows(found: Found, curves: Sequence[Unmodelled]) -> list[Estimate]:
     """The table of what is left, sizes that were held included, with errors that the fit cannot know."""
     fitted = found.final
-    rows = table_of(fitted).rows
+    rows = curves[-1].rows if curves else table_of(fitted).rows
     there = {row.key for row in rows}
     held = [p for p in fitted.problem.model.parameters if p.term is None and p.key not in there]
     places = index_of(fitted.problem.model.parameters)
