@@ -86,10 +86,6 @@ def diagnose(
         return _unsearched(data, base, "not_decidable", reason, faults, heldout_is_test, began)
     look = partial(_found, terms=terms, reference=reference, accepted=accepted, progress=progress)
     end = _concluded(*_looked_wider(data, look(data, base), look, progress), progress)
-    if end.says_nothing:
-        progress("no name holds on long windows: the search once more on short ones alone")
-        short = look(data, base, longer=False)
-        end = _concluded(data, short, left_by(data, short.final), progress) if short.missing else end
     found, curves, told, claimed = end.found, end.curves, strongest(end.curves), end.doubts
     final = _rows(found, curves)
     changed = _changes(final, reference)
@@ -142,11 +138,6 @@ class Concluded:
     before: Score
     after: Score
     sigma: FloatArray
-
-    @property
-    def says_nothing(self) -> bool:
-        """Whether there is a mismatch that neither a name nor a curve explains."""
-        return self.more and not self.found.missing and not self.curves and bool(self.data.model.state_names)
 
     @property
     def accepted(self) -> tuple[Model, FloatArray]:
@@ -205,16 +196,15 @@ def _found(
     reference: Mapping[str, float] | None,
     accepted: Accepted | None,
     progress: Callable[[str], None],
-    longer: bool = True,
 ) -> Found:
     """Search once; with values of the user's own sizes, once more with these held."""
-    found = with_load(data, search(data, base, progress, longer=longer), accepted)
+    found = with_load(data, search(data, base, progress), accepted)
     sizes = _sizes(data.model, reference) if reference is not None and not found.errors else frozenset()
     if not sizes:
         return found
     progress("the same with the sizes of the given model held")
     held = replace(data, held=sizes)
-    return _simpler(found, search(held, fit_baseline(held, terms), progress, longer=longer))
+    return _simpler(found, search(held, fit_baseline(held, terms), progress))
 
 
 def _looked_wider(

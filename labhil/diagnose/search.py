@@ -46,8 +46,8 @@ STILL_NOISY = 1.15
 """Residuals this much above the noise say that something is still missing."""
 
 
-def search(data: Data, baseline: Fitted, progress: Progress, *, longer: bool = True) -> Found:
-    """Look for missing terms, beginning at a fitted baseline: on short windows, then on ``longer`` ones.
+def search(data: Data, baseline: Fitted, progress: Progress) -> Found:
+    """Look for missing terms, beginning at a fitted baseline: on short windows, then on longer ones.
 
     Short ones lead to the neighbourhood whatever is missing; what acts slowly shows on longer ones only.
     """
@@ -57,7 +57,7 @@ def search(data: Data, baseline: Fitted, progress: Progress, *, longer: bool = T
     with ThreadPoolExecutor(cores()) as executor:
         hunt = Hunt(data, baseline, looks, executor, progress)
         hunt.follow(trail)
-        if longer and data.model.state_names:
+        if data.model.state_names:
             progress("refitting on longer windows")
             data, baseline = hunt.follow_on_longer_windows(trail)
             trail.current = hunt.pruned(data, trail.current)
