@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -22,8 +23,8 @@ from labhil.signals import FloatArray
 Panel = Callable[[Axes], None]
 """What draws one panel."""
 
-FOR_THE_LEGEND = 0.2
-"""Room above a curve, over its range: a formula is wide."""
+FOR_THE_LEGEND, WIDEST = 0.3, 36
+"""Room above a curve, over its range, and characters in a line of its formula."""
 
 
 def diagnosis_plot(diagnosis: Diagnosis, path: Path) -> None:
@@ -143,7 +144,7 @@ def _draw_effect(axes: Axes, share: locate.Contribution, regimes: Sequence[locat
 def _draw_curve(axes: Axes, curve: Curve) -> None:
     """What no named term explains, with its band."""
     axes.fill_between(curve.x, curve.low, curve.high, color=AFTER, alpha=0.25, lw=0, label="99 % band")
-    label = curve.formula or curve.acts.replace("_", " ")
+    label = textwrap.fill(curve.formula or curve.acts.replace("_", " "), WIDEST)
     axes.plot(curve.x, curve.value, color=AFTER, lw=1.5, label=label)
     axes.axhline(0.0, color=MEASURED, lw=0.8)
     low, high = axes.get_ylim()
