@@ -126,8 +126,9 @@ def _instead(data: Data, found: Found, part: MovedPart, excess: float) -> tuple[
     """A curve in the place of named terms, or nothing where these only stood in for something else."""
     found, curve = _or_curve(data, found, part, excess)
     replaced = curve is not None or not stands_in(found.baseline, found.final)
-    if not replaced and unexplained(data, left_by(data, found.final)):
-        return _less(data, found, found.missing), None
+    forces = _forces(data.model, found)
+    if not replaced and forces and unexplained(data, left_by(data, found.final)):
+        return _less(data, found, forces), None
     return found, curve
 
 
