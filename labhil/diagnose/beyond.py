@@ -113,16 +113,14 @@ def _told_apart(
     part: MovedPart,
     doubtful: Sequence[Step],
     beside: Unmodelled,
-) -> Unmodelled | None:
-    """The curve beside named forces, which are held where it stands for them over the same coordinate.
-
-    None where that is all that it does.
-    """
+) -> Unmodelled:
+    """The curve beside named forces, which are held where it stands for them over the same coordinate."""
     sizes = {p.key for step in doubtful for p in data.model.terms[step.terms[0]].parameters if not p.shape}
     if all(row.significant for row in beside.rows if row.key in sizes):
         return beside
     held = replace(data, held=data.held | sizes, window=found.final.window)
-    return _curve(held, refit(held, found.final, found.final.terms, ()), curves, part)
+    apart = _curve(held, refit(held, found.final, found.final.terms, ()), curves, part)
+    return beside if apart is None else apart
 
 
 def imitated(data: Data, found: Found, excess: float) -> tuple[Found, tuple[Unmodelled, ...]]:
