@@ -101,26 +101,8 @@ def _of_part(
         return found, beside
     # what is named beside a curve needs as strong evidence as without one, of as many candidates
     needed = 2.0 * len(doubtful) * np.log(found.looks) - NEEDED_BIC
-    if _behind(data, alone, beside) < needed:
-        return simpler, alone
-    return found, _told_apart(data, found, curves, part, doubtful, beside)
-
-
-def _told_apart(
-    data: Data,
-    found: Found,
-    curves: Sequence[Unmodelled],
-    part: MovedPart,
-    doubtful: Sequence[Step],
-    beside: Unmodelled,
-) -> Unmodelled:
-    """The curve beside named forces, which are held where it stands for them over the same coordinate."""
-    sizes = {p.key for step in doubtful for p in data.model.terms[step.terms[0]].parameters if not p.shape}
-    if all(row.significant for row in beside.rows if row.key in sizes):
-        return beside
-    held = replace(data, held=data.held | sizes, window=found.final.window)
-    apart = _curve(held, refit(held, found.final, found.final.terms, ()), curves, part)
-    return beside if apart is None else apart
+    behind = _behind(data, alone, beside)
+    return (simpler, alone) if behind < needed else (found, beside)
 
 
 def imitated(data: Data, found: Found, excess: float) -> tuple[Found, tuple[Unmodelled, ...]]:

@@ -308,10 +308,7 @@ def _excited(record: Record, sigma: np.ndarray) -> bool:
 def _rows(found: Found, curves: Sequence[Unmodelled]) -> list[Estimate]:
     """The table of what is left, sizes that were held included, with errors that the fit cannot know."""
     fitted = found.final
-    rows = list(curves[-1].rows) if curves else []
-    there = {row.key for row in rows}
-    # what is named may have been held beside a curve
-    rows += [row for row in table_of(fitted).rows if row.key not in there]
+    rows = curves[-1].rows if curves else table_of(fitted).rows
     there = {row.key for row in rows}
     held = [p for p in fitted.problem.model.parameters if p.term is None and p.key not in there]
     places = index_of(fitted.problem.model.parameters)
