@@ -11,6 +11,7 @@ from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score
 from labhil.identify.statistics import Estimate
 from labhil.physics.model import Record
+from labhil.physics.terms import keyed
 from labhil.signals import FloatArray
 
 
@@ -137,3 +138,9 @@ class Diagnosis:
     further_curves: tuple[Curve, ...] = ()
     shorter: tuple[Score, Score] | None = None
     wider: bool = False
+
+    @property
+    def named(self) -> list[str]:
+        """Keys of the missing effects that have a name; what has none has a curve."""
+        keys = (keyed(item.term, item.joint) for item in self.missing)
+        return [key for key in keys if key in self.final_fit.problem.model.terms]

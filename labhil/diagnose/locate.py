@@ -117,8 +117,10 @@ class Contribution:
 
     def revealed_over(self, stretches: Sequence[Regime]) -> str:
         """The coordinate that its ``stretches`` are of, or else the one that it follows best."""
-        of_them = (regime.coordinate for regime in stretches if regime.coordinate in self.units)
-        return next(of_them, max(self.units, key=lambda name: _followed(self.values, self.coordinates[name])))
+        for regime in stretches:
+            if regime.coordinate in self.units:
+                return regime.coordinate
+        return max(self.units, key=lambda name: _followed(self.values, self.coordinates[name]))
 
     def _sizes(self, large: np.ndarray) -> tuple[Regime, ...]:
         """The sizes of a force where it is ``large`` (N,), by sign; none if that is nearly everywhere."""

@@ -111,10 +111,9 @@ def _missing(diagnosis: Diagnosis) -> list[Panel]:
     """A panel for each effect that has a name, and for each curve of what has none."""
     if not diagnosis.missing:
         return [_draw_nothing]
-    named = [keyed(item.term, item.joint) for item in diagnosis.missing]
-    named = [term for term in named if term in diagnosis.final_fit.problem.model.terms]
-    curves = [*([diagnosis.curve] if diagnosis.curve is not None else []), *diagnosis.further_curves]
+    curves = [each for each in (diagnosis.curve, *diagnosis.further_curves) if each is not None]
     panels: list[Panel] = [partial(_draw_curve, curve=curve) for curve in curves]
+    named = diagnosis.named
     if not named:
         return panels
     seen = locate.HeldOut(diagnosis.held_out, diagnosis.before, diagnosis.after)

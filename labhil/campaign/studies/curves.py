@@ -38,12 +38,8 @@ def curves_of_diagnosis(result: DiagnosisResult) -> dict[str, Any]:
 
     diagnosis = result.diagnosis
     curves = _channels(result.material.judge, {"before": diagnosis.before, "after": diagnosis.after})
-    for item in diagnosis.missing:
-        key = keyed(item.term, item.joint)
-        try:
-            share = locate.contribution(diagnosis.final_fit, key)
-        except KeyError:  # what has no name has a curve of its own
-            continue
+    for key in diagnosis.named:
+        share = locate.contribution(diagnosis.final_fit, key)
         name = share.revealed_over(share.regimes())
         x, y = np.asarray(share.coordinates[name]), np.asarray(share.values)
         step = max(1, len(x) // MOST_DOTS)
