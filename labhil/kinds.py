@@ -140,7 +140,11 @@ UR5 = RigKind(
         _joints("target_moment", "N·m", STATUS, "torques that the controller expects"),
         Signal("actual_main_voltage", "V", STATUS, description="of the supply"),
     ),
-    known={"torque_constant": Known("N·m/A", width=JOINTS), "links": Known("", table=True)},
+    known={
+        "torque_constant": Known("N·m/A", width=JOINTS),
+        "gear_ratio": Known("1", width=JOINTS),
+        "links": Known("", table=True),
+    },
 )
 
 KINDS: Mapping[str, RigKind] = {kind.name: kind for kind in (BALL_BEAM, DC_MOTOR, SOLENOID, AXIS, UR5)}

@@ -20,6 +20,7 @@ from labhil.diagnose.rest import UNEXPLAINED, left_by, stands_in, unexplained
 from labhil.diagnose.unmodelled import Unmodelled, unmodelled
 from labhil.identify.fitted import Fitted
 from labhil.identify.kept_curve import under
+from labhil.identify.table import table_of
 from labhil.identify.window_states import States, tried
 from labhil.physics.extra_force import MovedPart, Yielding
 from labhil.physics.model import Model
@@ -97,12 +98,33 @@ def _of_part(
         return (found, None) if part.joint is not None else _instead(data, found, part, excess)
     simpler = _less(data, found, doubtful)
     alone = _curve(data, simpler.final, curves, part)
-    if alone is None:
-        return found, beside
     # what is named beside a curve needs as strong evidence as without one, of as many candidates
     needed = 2.0 * len(doubtful) * np.log(found.looks) - NEEDED_BIC
-    behind = _behind(data, alone, beside)
-    return (simpler, alone) if behind < needed else (found, beside)
+    if alone is not None and _behind(data, alone, beside) < needed:
+        return simpler, alone
+    return found, _told_apart(data, found, curves, part, doubtful, beside)
+
+
+def _told_apart(
+    data: Data,
+    found: Found,
+    curves: Sequence[Unmodelled],
+    part: MovedPart,
+    doubtful: Sequence[Step],
+    beside: Unmodelled,
+) -> Unmodelled | None:
+    """The curve beside named forces: where it leaves the size of one unknown, beside sizes that are held.
+
+    All that were known without it: a curve over the same coordinate can stand for them. None where that is
+    all that it does.
+    """
+    known = {row.key for row in table_of(found.final).rows if row.significant}
+    lost = known.intersection(row.key for row in beside.rows if not row.significant)
+    named = {p.key for step in doubtful for p in data.model.terms[step.terms[0]].parameters}
+    if not lost & named:
+        return beside
+    held = replace(data, held=data.held | lost, window=found.final.window)
+    return _curve(held, refit(held, found.final, found.final.terms, ()), curves, part)
 
 
 def imitated(data: Data, found: Found, excess: float) -> tuple[Found, tuple[Unmodelled, ...]]:

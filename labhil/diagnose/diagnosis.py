@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -13,23 +13,24 @@ from scipy import stats
 from labhil.diagnose import telling
 from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.answer import Change, Diagnosis, Undecided
-from labhil.diagnose.beyond import MISNAMED, SURELY, beyond, imitated, strongest
+from labhil.diagnose.beyond import strongest
+from labhil.diagnose.conclude import Concluded, concluded
 from labhil.diagnose.evidence import bic, effective_samples
 from labhil.diagnose.found import Found
 from labhil.diagnose.intake import Fault, faults_of, usable
 from labhil.diagnose.judge import NEEDED_BIC, Data
 from labhil.diagnose.load import with_load
-from labhil.diagnose.rest import UNEXPLAINED, left_by, unexplained
-from labhil.diagnose.search import on_several_windows, onward, search
+from labhil.diagnose.rest import left_by, unexplained
+from labhil.diagnose.search import onward, search
 from labhil.diagnose.unmodelled import Unmodelled
 from labhil.diagnose.wider import searched_and_kept
 from labhil.identify.fitted import Fitted, climb, start_theta
 from labhil.identify.noise import lasting_noise
-from labhil.identify.score import Score, score, scored_horizon, with_forces
+from labhil.identify.score import Score, score, with_forces
 from labhil.identify.statistics import Estimate, stated, with_error
 from labhil.identify.table import table_of
 from labhil.identify.windows import noise_of, told_apart
-from labhil.physics.model import Metric, Model, Record, index_of, terms_named
+from labhil.physics.model import Model, Record, index_of, terms_named
 from labhil.physics.terms import unkeyed
 from labhil.signals import FloatArray
 
@@ -38,13 +39,6 @@ FIRST_WINDOW_IN_HORIZONS = 0.1875
 FALSE_ALARM = 5e-4
 SHOWN = 1.1
 """RMSE over the noise floor, on held-out data, that asks for a wider search."""
-
-NOTICED, NOTICEABLY, BEYOND_DOUBT = 1.05, 1.02, -50.0
-"""What the metric does not show asks for more evidence: where the baseline leaves fewer than so many noise
-floors of held-out data, and no error is so many times larger without what was found, this ΔBIC.
-
-Noise is never quite what it is taken for: the rounding of a part that rests at a stop is the same each time.
-"""
 
 LASTS = 1.1
 """Factor by which noise as the baseline leaves it must differ from that of single samples to count."""
@@ -85,7 +79,7 @@ def diagnose(
         reason = "neither input nor output moves beyond the noise"
         return _unsearched(data, base, "not_decidable", reason, faults, heldout_is_test, began)
     look = partial(_found, terms=terms, reference=reference, accepted=accepted, progress=progress)
-    end = _concluded(*_looked_wider(data, look(data, base), look, progress), progress)
+    end = concluded(*_looked_wider(data, look(data, base), look, progress), progress)
     found, curves, told, claimed = end.found, end.curves, strongest(end.curves), end.doubts
     final = _rows(found, curves)
     changed = _changes(final, reference)
@@ -123,71 +117,6 @@ def diagnose(
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Concluded:
-    """Where a search ended: what was found, forces without a name beside it, and what is left.
-
-    ``before`` and ``after`` are scores on the same windows and of the same noise ``sigma`` (c,); ``more``
-    says that more than noise is left by what has a name.
-    """
-
-    data: Data
-    found: Found
-    curves: tuple[Unmodelled, ...]
-    more: bool
-    before: Score
-    after: Score
-    sigma: FloatArray
-
-    @property
-    def accepted(self) -> tuple[Model, FloatArray]:
-        """The model that is left, with its vector; the last of the curves was found beside all others."""
-        if self.curves:
-            return self.curves[-1].model, self.curves[-1].fit.theta
-        return self.data.model, self.found.final.theta
-
-    @property
-    def doubts(self) -> tuple[float, int]:
-        """What speaks against a claim: the excess that stays, and how many there are; of an arm neither."""
-        if self.data.model.metric is Metric.INVERSE_DYNAMICS:
-            return 1.0, 1
-        return _excess(self.after), len(self.found.missing) + len(self.curves)
-
-    @property
-    def on_shorter_windows(self) -> tuple[Score, Score] | None:
-        """Scores on windows of the search, if the metric's are worse with what was found than without.
-
-        Noise that drives the plant itself outgrows every model on long windows.
-        """
-        data, found = self.data, self.found
-        if not found.missing or self.after.rmse < self.before.rmse or not data.model.state_names:
-            return None
-        return data.judge(found.baseline.theta)[0], data.judge(found.final.theta)[0]
-
-
-def _concluded(data: Data, found: Found, left: FloatArray, progress: Callable[[str], None]) -> Concluded:
-    """Judge what was found on held-out data, and look for a force without a name where that is not enough."""
-    progress("scores, intervals and exclusion limits")
-    model, theta = data.model, found.final.theta
-    # the same windows and the same noise before and after
-    horizon = scored_horizon(model, theta, data.test)
-    noise = lasting_noise(model, theta, data.test, noise_of(data.test))
-    marked = partial(score, record=data.test, sigma=noise.sigma, horizon=horizon, lasts=noise.lasts)
-    before = marked(model, found.baseline.theta)
-    after = marked(model, theta) if found.missing else before
-    if found.missing and _unnoticed(found, before, after):
-        found, after, left = found.nothing, before, left_by(data, found.baseline)
-    more = _leaves_more(data, found, left, _excess(after))
-    if more:
-        progress("a force over each coordinate in turn, for no named effect explains the rest")
-    look = beyond if more or model.metric is Metric.INVERSE_DYNAMICS else imitated
-    several = on_several_windows(data, found)
-    kept, curves = look(data, several, _excess(after))
-    kept = found if kept is several and not curves else kept
-    end = Concluded(data, kept, curves, more, before, after, noise.sigma)
-    return replace(end, after=marked(*end.accepted)) if curves or kept is not found else end
-
-
 def _found(
     data: Data,
     base: Fitted,
@@ -216,7 +145,7 @@ def _looked_wider(
     first does not hold on more data, unless these still ask for it.
     """
     left = left_by(data, found.final)
-    shown = unexplained(data, left[1]) or _excess(_marked(data, found)) > SHOWN
+    shown = unexplained(data, left[1]) or _marked(data, found).excess > SHOWN
     parts = searched_and_kept(data) if shown else None
     if parts is None:
         return data, found, left
@@ -308,12 +237,17 @@ def _excited(record: Record, sigma: np.ndarray) -> bool:
 def _rows(found: Found, curves: Sequence[Unmodelled]) -> list[Estimate]:
     """The table of what is left, sizes that were held included, with errors that the fit cannot know."""
     fitted = found.final
-    rows = curves[-1].rows if curves else table_of(fitted).rows
+    rows = list(curves[-1].rows) if curves else []
+    there = {row.key for row in rows}
+    # what is named may have been held beside a curve
+    rows += [row for row in table_of(fitted).rows if row.key not in there]
     there = {row.key for row in rows}
     held = [p for p in fitted.problem.model.parameters if p.term is None and p.key not in there]
     places = index_of(fitted.problem.model.parameters)
     values = np.array([fitted.theta[places[p.key]] for p in held])
     rows = stated(held, values, np.array([found.errors.get(p.key, 0.0) for p in held])) + rows
+    known = [p for term in terms_named(fitted.problem.model, fitted.terms) for p in term.known]
+    rows += stated(known, np.array([p.scale for p in known]), np.zeros(len(known)))
     return [with_error(row, found.errors.get(row.key, 0.0)) for row in rows]
 
 
@@ -328,28 +262,6 @@ def _verdict(end: Concluded, changed: Sequence[Change]) -> str:
     if end.more:
         return "unexplained_mismatch"
     return "parameter_change" if changed else "no_mismatch"
-
-
-def _unnoticed(found: Found, before: Score, after: Score) -> bool:
-    """Whether the metric shows no mismatch, and the searched data not beyond doubt."""
-    weak = all(step.evidence.delta_bic > BEYOND_DOUBT for step in found.missing)
-    pairs = zip(before.channels, after.channels, strict=True)
-    better = any(one.rmse > NOTICEABLY * other.rmse for one, other in pairs)
-    return weak and not better and _excess(before) < NOTICED
-
-
-def _leaves_more(data: Data, found: Found, left: FloatArray, excess: float) -> bool:
-    """Whether more than noise is left: by the metric alone, or by windows that know their states and it.
-
-    Noise that lasts is not known so well from short windows that these alone could raise an alarm.
-    """
-    alone = MISNAMED if found.missing else SURELY
-    return excess > alone or (unexplained(data, left) and excess > UNEXPLAINED)
-
-
-def _excess(marks: Score) -> float:
-    """RMSE over the noise floor of the worst output."""
-    return max(channel.rmse / channel.noise_floor for channel in marks.channels)
 
 
 def _changes(final: Sequence[Estimate], reference: Mapping[str, float] | None) -> tuple[Change, ...]:

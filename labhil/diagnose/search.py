@@ -42,6 +42,9 @@ CONFIRMED = 5
 CONFIRMED_PAIRS = 3
 """How many pairs of them, while the residuals are above the noise."""
 
+ASKED = 3
+"""How many of these the held-out data are asked about."""
+
 STILL_NOISY = 1.15
 """Residuals this much above the noise say that something is still missing."""
 
@@ -94,11 +97,11 @@ class Hunt:
             if only_promising:
                 ranked, pairs = ([c for c in found if c.promising] for found in (ranked, pairs))
             accepted = self._added(trail, ranked, pairs)
-            if accepted is None and self._swapped(trail, widely=only_promising):
+            worth = accepted is not None and relevant(self.baseline, trail.current, accepted, self._share)
+            if not worth and self._swapped(trail, widely=only_promising):
                 continue
-            if accepted is None and trail.current.noise > STILL_NOISY:
-                rest = [candidate.group for candidate in ranked[CONFIRMED:]]
-                accepted, _ = self._forward(trail.current, rest)
+            if accepted is None:
+                accepted, _ = self._forward(trail.current, self._others(trail.current, ranked[CONFIRMED:]))
             if accepted is None or not relevant(self.baseline, trail.current, accepted, self._share):
                 return
             accepted = refit(self.data, accepted, accepted.terms, (), thorough=True)
@@ -161,6 +164,15 @@ class Hunt:
         """The data with windows so many times longer, as far as a recording reaches."""
         return replace(self.data, window=min(longer * self.data.window, self.data.search.longest))
 
+    def _others(self, current: Fitted, ranked: Sequence[Candidate]) -> list[tuple[str, ...]]:
+        """What else is refitted where none of the first is accepted: while much is left, everything.
+
+        Of an arm whatever promises strong evidence: those that promise most may all be of the one joint that
+        no term explains, and refits are linear.
+        """
+        noisy, arm = current.noise > STILL_NOISY, not self.data.model.state_names
+        return [candidate.group for candidate in ranked if noisy or (arm and candidate.promising)]
+
     def _swapped(self, trail: Trail, *, widely: bool) -> bool:
         """Whether a rival took the place of a found term."""
         best, trail.rivals = swapped(self.data, trail, self.base, self.executor, self.progress, widely=widely)
@@ -213,9 +225,9 @@ def on_several_windows(data: Data, found: Found) -> Found:
 
 
 def _first_accepted(data: Data, current: Fitted, trials: Sequence[Fitted], looks: int) -> Fitted | None:
-    """The best trial that both search and held-out data support."""
+    """The best trial that both search and held-out data support; of an arm each joint has its own."""
     before = data.judge(current.theta)
-    for trial in trials[:3]:
+    for trial in trials[:ASKED] if data.model.state_names else trials:
         if supported(*compare(data, current, trial, before, looks)):
             return trial
     return None

@@ -18,6 +18,7 @@ from labhil.identify.fitted import Fitted, covariances
 from labhil.identify.statistics import nonzero
 from labhil.identify.waves import MOST
 from labhil.physics.model import index_of
+from labhil.signals import FloatArray
 
 RELEVANT, RELEVANT_BESIDE = 0.05, 0.5
 """A term has to explain this share of the baseline's squared residuals beyond noise, or this of what is left.
@@ -148,7 +149,8 @@ def _significant(fitted: Fitted, term: str) -> bool:
     """Whether the sizes of a term, all together, are told from zero; evidence alone judges one with a shape.
 
     Each of two sizes may be tied to something else: the width of a dead zone is known where its middle is
-    not. Waves are the best of many orders.
+    not. Waves are the best of many orders. Sizes may be known in units of one of the rig's own only: from a
+    motor's speed dry friction and inertia are known over the torque constant, which is not zero.
     """
     own = fitted.problem.model.terms[term]
     if any(p.shape for p in own.parameters) and own.order is None:
@@ -157,8 +159,27 @@ def _significant(fitted: Fitted, term: str) -> bool:
     places = index_of(fitted.problem.model.parameters)
     free = fitted.problem.free.tolist()
     sizes = [free.index(places[p.key]) for p in own.parameters if not p.shape and places[p.key] in free]
-    values = fitted.theta[fitted.problem.free[sizes]]
-    return nonzero(values, robust[np.ix_(sizes, sizes)], MOST if own.order else 1)
+    values = fitted.theta[fitted.problem.free]
+    own_sizes = [j for j in range(len(free)) if fitted.problem.is_size(j) and np.isfinite(robust[j, j])]
+    looks = MOST if own.order else 1
+    return nonzero(values[sizes], robust[np.ix_(sizes, sizes)], looks) or any(
+        nonzero(*_in_units_of(j, sizes, values, robust), looks) for j in own_sizes
+    )
+
+
+def _in_units_of(
+    unit: int, places: list[int], values: FloatArray, covariance: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Some of ``values`` (P,) over that at ``unit``, (k,), and their covariance (k, k) to first order."""
+    slopes = np.zeros((len(places), len(values)))
+    slopes[np.arange(len(places)), places] = 1.0 / values[unit]
+    slopes[:, unit] -= values[places] / values[unit] ** 2
+    known = np.where(np.isfinite(np.diag(covariance)), 1.0, 0.0)
+    spread = np.where(np.outer(known, known) > 0.0, covariance, 0.0)
+    ratio = slopes @ spread @ slopes.T
+    unknown = [i for i, place in enumerate(places) if not known[place]]
+    ratio[unknown, unknown] = np.inf
+    return values[places] / values[unit], ratio
 
 
 def _without(data: Data, current: Fitted, term: str) -> Fitted:

@@ -82,6 +82,11 @@ class Figures:
         return max(c.max_abs_error for c in self.channels)
 
     @property
+    def excess(self) -> float:
+        """RMSE over the noise floor, of the worst channel."""
+        return max(c.rmse / c.noise_floor for c in self.channels)
+
+    @property
     def noise_floor(self) -> float:
         """The figure that a perfect model would reach, initial-state error included."""
         return self.channels[0].noise_floor if len(self.channels) == 1 else 1.0

@@ -101,6 +101,7 @@ class Term:
     excitation that shows it; ``with_terms`` are the keys of terms that it builds on (Stribeck on
     Coulomb): they are tried together as well as alone. ``narrow`` is the key of the term that it becomes
     at the lower end of its shape (a Stribeck peak of no width is a mere hold), "" where there is none.
+    ``known`` are numbers of the machine that it has at their ``scale``, not to be estimated.
     """
 
     name: str
@@ -114,6 +115,7 @@ class Term:
     with_terms: tuple[str, ...] = field(default=())
     joint: int | None = None
     narrow: str = ""
+    known: tuple[Parameter, ...] = ()
 
     @property
     def key(self) -> str:

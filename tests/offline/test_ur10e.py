@@ -156,25 +156,30 @@ def test_a_mass_on_the_flange_shows_on_all_joints_that_lift_it(arm):
     assert np.all(after[1:5] < 0.3 * before[1:5]), (before, after)
 
 
-@pytest.mark.extended
-@pytest.mark.timeout(1200)
-@pytest.mark.parametrize("loaded", [LOADED, LOADED_AGAIN])
-def test_a_load_that_nobody_told_of_is_found_to_a_few_per_cent(labhil, tmp_path, loaded):
-    """The robot carries 2.805 kg that neither its controller nor the model knows of."""
+def diagnosed(labhil, tmp_path, name):
+    """A recording against the fit of an unloaded one: the answer, and what is missing by term and joint."""
     folder = (
         Path(os.environ.get("LABHIL_DATA") or Path(__file__).parents[3] / "shared" / "data") / "arm_ur10e"
     )
     if not folder.is_dir():
         pytest.skip(f"measured data are not here: {folder} (set LABHIL_DATA to the folder above it)")
     rig = RIG.with_name("ur10e_controller.toml")
-    for name in (LEARNED, loaded):
-        assert labhil("import", folder / name, "--rig", rig, "-o", f"{name}.mcap").status == 0
+    for each in (LEARNED, name):
+        assert labhil("import", folder / each, "--rig", rig, "-o", f"{each}.mcap").status == 0
     chosen = ("--rig", rig, "--terms", ",".join(BASELINE))
     assert labhil("fit", f"{LEARNED}.mcap", *chosen, "--json", "empty.json").status == 0
-    done = labhil("diagnose", f"{loaded}.mcap", "--rig", rig, "--model", "empty.json", "--json", "load.json")
+    done = labhil("diagnose", f"{name}.mcap", "--rig", rig, "--model", "empty.json", "--json", "said.json")
     assert "Torque constants are the controller's" in done.out
-    found = json.loads((tmp_path / "load.json").read_text())
-    terms = {(missing["term"], missing["joint"]): missing for missing in found["missing"]}
+    found = json.loads((tmp_path / "said.json").read_text())
+    return found, {(missing["term"], missing["joint"]): missing for missing in found["missing"]}
+
+
+@pytest.mark.extended
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("loaded", [LOADED, LOADED_AGAIN])
+def test_a_load_that_nobody_told_of_is_found_to_a_few_per_cent(labhil, tmp_path, loaded):
+    """The robot carries 2.805 kg that neither its controller nor the model knows of."""
+    found, terms = diagnosed(labhil, tmp_path, loaded)
     mass = next(row for row in terms["payload", None]["parameters"] if row["name"] == "payload.mass")
     low, high = mass["ci99"]
     assert low < 2.805 < high
@@ -182,3 +187,18 @@ def test_a_load_that_nobody_told_of_is_found_to_a_few_per_cent(labhil, tmp_path,
     dry = {joint for term, joint in terms if term == "load_dependent_friction"}
     assert dry == {1, 2}
     assert not [change for change in found["changed"] if change["name"].startswith("grouped")]
+
+
+@pytest.mark.extended
+@pytest.mark.timeout(1200)
+def test_gears_rub_under_load_and_ripple_with_their_teeth(labhil, tmp_path):
+    """Without a load: what a harmonic drive of 1:101 does, 202 times a turn; joints 0 and 3 show it most."""
+    _, terms = diagnosed(labhil, tmp_path, FOURIER)
+    assert {joint for term, joint in terms if term == "load_dependent_friction"} == {1, 2}
+    assert "payload" not in {term for term, _ in terms}
+    rippling = {joint: found for (term, joint), found in terms.items() if term == "torque_ripple"}
+    assert set(rippling) == {0, 3}
+    for found in rippling.values():
+        rows = {row["name"]: row for row in found["parameters"]}
+        assert rows["torque_ripple.order"]["value"] == 202.0
+        assert rows["torque_ripple.sine"]["significant"] or rows["torque_ripple.cosine"]["significant"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +13,11 @@ from labhil.physics.terms import Enters, Parameter, Term
 from labhil.signals import FloatArray
 
 FRICTION = "eq. 4.64 of the reference text, its Stribeck exponent with the minus sign"
-TEETH = 202.0
-"""Cycles per turn of a joint: two a turn of a harmonic drive's wave generator, which turns 101 times."""
+GEAR_RATIO = (101.0,) * JOINTS
+"""Of the harmonic drives of a UR's joints, unless the rig file says another."""
+
+CYCLES = 2.0
+"""Of the ripple, in a turn of a harmonic drive's wave generator: its two lobes pass a tooth."""
 
 TEMPERATURES = ("joint_temperatures",)
 SHARE = 0.1
@@ -46,21 +49,26 @@ def _rms(columns: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.mean(columns**2, axis=0)))
 
 
-def catalogue(sizes: Sizes) -> dict[str, Term]:
-    """All terms by key."""
-    terms = [term for joint in range(JOINTS) for term in (*friction(sizes, joint), *drive(sizes, joint))]
+def catalogue(sizes: Sizes, gear_ratio: Sequence[float]) -> dict[str, Term]:
+    """All terms by key, of joints with these ratios (6,) of their gears."""
+    terms = [
+        term
+        for joint, ratio in enumerate(gear_ratio)
+        for term in (*friction(sizes, joint), ripple(sizes, joint, CYCLES * ratio), *drive(sizes, joint))
+    ]
     return {term.key: term for term in (*terms, *whole_arm())}
 
 
 def _one(
     name: str, joint: int, enters: Enters, words: tuple[str, str, str, str], *parameters: Parameter,
-    needs: tuple[str, ...] = (), with_terms: tuple[str, ...] = (),
+    needs: tuple[str, ...] = (), with_terms: tuple[str, ...] = (), known: tuple[Parameter, ...] = (),
 ) -> Term:  # fmt: skip
     statement, equation, source, revealed_by = words
     together = tuple(f"{other}[{joint}]" for other in with_terms)
     return Term(
-        name, enters, statement, equation, source, revealed_by, parameters, needs, together, joint=joint
-    )
+        name, enters, statement, equation, source, revealed_by, parameters, needs, together, joint=joint,
+        known=known,
+    )  # fmt: skip
 
 
 def friction(sizes: Sizes, joint: int) -> tuple[Term, ...]:
@@ -126,23 +134,30 @@ def friction(sizes: Sizes, joint: int) -> tuple[Term, ...]:
     )  # fmt: skip
 
 
+def ripple(sizes: Sizes, joint: int, order: float) -> Term:
+    """What repeats ``order`` times in a turn of a joint."""
+    size = float(sizes.torque[joint])
+    begin = (0.01 * size,)
+    sine, cosine = (
+        Parameter(f"torque_ripple.{wave}", "N·m", SHARE * size, starts=begin, linear=True, joint=joint)
+        for wave in ("sine", "cosine")
+    )
+    return _one(
+        "torque_ripple", joint, Enters.FORCE,
+        ("a torque that repeats with the angle (the gear's teeth)",
+         f"τ = a·sin N·q + b·cos N·q, N = {order:g}",
+         "harmonic drive: N is twice the gear's ratio; beyond half the sampling rate, N·|q̇| = π·rate, it is "
+         "aliased, beyond the filter's cut-off it is filtered as the current is", "slow motion"),
+        sine, cosine, known=(Parameter("torque_ripple.order", "1", order, joint=joint),),
+    )  # fmt: skip
+
+
 def drive(sizes: Sizes, joint: int) -> tuple[Term, ...]:
-    """What else is in one joint: gear, rotor, current measurement."""
+    """What else is in one joint: rotor, spring of the gear, current measurement."""
     torque, current = float(sizes.torque[joint]), float(sizes.current[joint])
     compliance = 2e-3 / torque
     inertia = SHARE * torque / float(sizes.acceleration[joint])
     return (
-        _one("torque_ripple", joint, Enters.FORCE,
-             ("a torque that repeats with the angle (the gear's teeth)", "τ = a·sin N·q + b·cos N·q",
-              f"harmonic drive: N = 2·101; beyond half the sampling rate, N·|q̇| = π·rate, it is aliased, "
-              f"beyond the filter's cut-off it is filtered as the current is; N starts at {TEETH:g}",
-              "slow motion"),
-             Parameter("torque_ripple.sine", "N·m", SHARE * torque, starts=(0.01 * torque,), linear=True,
-                       joint=joint),
-             Parameter("torque_ripple.cosine", "N·m", SHARE * torque, starts=(0.01 * torque,), linear=True,
-                       joint=joint),
-             Parameter("torque_ripple.order", "1", TEETH, 0.0, 1000.0, starts=(TEETH,), shape=True,
-                       step=1e-6, joint=joint)),
         _one("added_inertia", joint, Enters.FORCE,
              ("more (or less) inertia than the links' (the rotor, seen through the gear)", "τ = J·q̈",
               "rotor inertia times the gear ratio squared", "fast motion"),

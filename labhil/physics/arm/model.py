@@ -13,7 +13,7 @@ import numpy as np
 
 from labhil.errors import UnknownNameError
 from labhil.kinds import JOINTS
-from labhil.physics.arm.catalogue import NEVER_SEEN, Sizes, catalogue
+from labhil.physics.arm.catalogue import GEAR_RATIO, NEVER_SEEN, Sizes, catalogue
 from labhil.physics.arm.controller_constants import controller_constants, notes_on
 from labhil.physics.arm.first_estimate import FirstEstimate, best_of, first_estimate
 from labhil.physics.arm.grouped import grouped
@@ -93,7 +93,8 @@ class ArmModel:
         self._seen: Remembered[tuple[FloatArray, Motion, np.ndarray]] = Remembered(size)
         self._views: Remembered[View] = Remembered(size)
         self.first = self._first(record)
-        everything = catalogue(sizes)
+        everything = catalogue(sizes, rig.known_numbers("gear_ratio") or GEAR_RATIO)
+        self._known = {p.key: p.scale for term in everything.values() for p in term.known}
         self.never_seen = dict(NEVER_SEEN) | self._absent(everything, record is None or warm is not None)
         self.terms: Mapping[str, Term] = {k: t for k, t in everything.items() if k not in self.never_seen}
         self.parameters = self._own() + tuple(p for term in self.terms.values() for p in term.parameters)
@@ -344,10 +345,16 @@ class ArmModel:
         return torques
 
     def _law(self, theta: FloatArray, view: View, joint: int, name: str) -> FloatArray:
-        shaped_by = LAWS[name].shaped_by
-        shape = float(self._of_joints(theta, shaped_by)[joint]) if shaped_by else 0.0
         length = float(self._of_joints(theta, LENGTH)[joint])
-        return view.law(joint, name, shape, length, self._delay(theta))
+        return view.law(joint, name, self._shape(theta, joint, name), length, self._delay(theta))
+
+    def _shape(self, theta: FloatArray, joint: int, name: str) -> float:
+        """What a law depends on in another way than in proportion: known, estimated, or nothing."""
+        shaped_by = LAWS[name].shaped_by
+        if shaped_by is None:
+            return 0.0
+        known = self._known.get(keyed(shaped_by, joint))
+        return float(self._of_joints(theta, shaped_by)[joint]) if known is None else known
 
     def _load(self, theta: FloatArray, view: View, joint: int) -> FloatArray:
         length = float(self._of_joints(theta, LENGTH)[joint])
@@ -377,7 +384,7 @@ class ArmModel:
         for name, law in LAWS.items():
             level = self._of_joints(theta, name)[joint]
             if level:
-                shape = float(self._of_joints(theta, law.shaped_by)[joint]) if law.shaped_by else 0.0
+                shape = self._shape(theta, joint, name)
                 at = JointMotion(q, qd, coordinates[f"acceleration_{joint}"], warmer, s, shape)
                 torque = torque + level * law.column(at)
         return torque
