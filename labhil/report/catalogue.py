@@ -45,6 +45,7 @@ def _term_json(term: Term) -> dict[str, Any]:
         "revealed_by": term.revealed_by,
         "needs": list(term.needs),
         "parameters": [{"name": p.name, "unit": p.unit, "neutral": p.neutral} for p in term.parameters],
+        "known": [{"name": p.name, "unit": p.unit, "value": p.scale} for p in term.known],
     }
 
 
@@ -57,4 +58,5 @@ def show_catalogue(kind: str | None) -> None:
             console.print(f"\n[bold]{term.name}[/bold] ({term.enters.value}): {term.statement}")
             console.print(f"  {term.equation}   — {term.source}", markup=False)
             units = ", ".join(f"{p.name} [{p.unit}]" for p in term.parameters)
+            units += "".join(f"; {p.name} = {p.scale:g} [known]" for p in term.known)
             console.print(f"  {units}; revealed by {term.revealed_by}", markup=False)
