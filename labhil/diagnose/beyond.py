@@ -41,6 +41,12 @@ That is a linear problem, which what the joint moves through poses thousands of 
 DOUBTFUL, NOTHING_NAMED = 1.05, 1.15
 """The same from which on named forces are compared with a curve in their place, or no force with one."""
 
+INFLATED = np.sqrt(10.0)
+"""A size is not known beside a curve that makes its standard error so many times as large.
+
+The usual limit of the variance's inflation by what is collinear.
+"""
+
 
 def beyond(data: Data, found: Found, excess: float) -> tuple[Found, tuple[Unmodelled, ...]]:
     """Forces that no named term explains, and what was found without the terms that they make needless.
@@ -118,8 +124,12 @@ def _told_apart(
     All that were known without it: a curve over the same coordinate can stand for them. None where that is
     all that it does.
     """
-    known = {row.key for row in table_of(found.final).rows if row.significant}
-    lost = known.intersection(row.key for row in beside.rows if not row.significant)
+    known = {row.key: row.std_error for row in table_of(found.final).rows if row.significant}
+    lost = {
+        row.key
+        for row in beside.rows
+        if row.key in known and not (row.significant and row.std_error < INFLATED * known[row.key])
+    }
     named = {p.key for step in doubtful for p in data.model.terms[step.terms[0]].parameters}
     if not lost & named:
         return beside

@@ -10,7 +10,7 @@ import numpy as np
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score
 from labhil.physics.extra_force import Yielding
-from labhil.physics.model import Metric, Model, Record, Windows
+from labhil.physics.model import Metric, Model, Record, Windows, index_of
 from labhil.physics.terms import Term, unkeyed
 from labhil.signals import FloatArray
 
@@ -26,6 +26,9 @@ MOST_SAMPLES = 0.6
 
 MOST_RUNS = 3
 """Stretches of a coordinate that people can keep in mind."""
+
+AS_WELL = 0.05
+"""Share of an effect's variance by which a coordinate may say less of it than the best one does."""
 
 CLEARER = 0.8
 """A coordinate comes before an earlier one when its regime has at most this share of that one's samples."""
@@ -64,6 +67,20 @@ class Location:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Abscissa:
+    """What a curve is drawn over: the samples ``x`` (N,) of a coordinate, in ``unit``."""
+
+    name: str
+    x: FloatArray
+    unit: str
+
+    @property
+    def label(self) -> str:
+        """Name and unit."""
+        return f"{self.name}, {self.unit}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class HeldOut:
     """Data that a search never saw, with scores on the same windows before and after."""
 
@@ -94,6 +111,7 @@ class Contribution:
     """What one ``term`` adds along a motion, (N,), and the ``coordinates`` there, (N,) each.
 
     ``unit`` is that of a force, "" of anything else; ``joint`` the one that it acts on, of several.
+    ``period`` is the coordinate along which it repeats, and how far.
     """
 
     term: str
@@ -102,6 +120,7 @@ class Contribution:
     coordinates: Mapping[str, FloatArray]
     units: Mapping[str, str]
     joint: int | None
+    period: tuple[str, float] | None = None
 
     def regimes(self, explained: FloatArray | None = None) -> tuple[Regime, ...]:
         """Where most of it lives, as one to three stretches of one coordinate; none if it is everywhere.
@@ -115,12 +134,19 @@ class Contribution:
         found = regimes({name: self.coordinates[name] for name in self.units}, large.astype(np.float64))
         return tuple(self._told(regime, held) for regime in found or self._sizes(large))
 
-    def revealed_over(self, stretches: Sequence[Regime]) -> str:
-        """The coordinate that its ``stretches`` are of, or else the one that it follows best."""
-        for regime in stretches:
-            if regime.coordinate in self.units:
-                return regime.coordinate
-        return max(self.units, key=lambda name: _followed(self.values, self.coordinates[name]))
+    def revealed_over(self, stretches: Sequence[Regime]) -> Abscissa:
+        """The coordinate that it follows best; of several the one that its ``stretches`` are of.
+
+        What repeats is laid over one period.
+        """
+        if self.period is not None:
+            name, length = self.period
+            return Abscissa(f"{name} modulo {length:.3g}", self.coordinates[name] % length, self.units[name])
+        followed = {name: _followed(self.values, self.coordinates[name]) for name in self.units}
+        near = [name for name in followed if followed[name] > max(followed.values()) - AS_WELL]
+        lived = [regime.coordinate for regime in stretches if regime.coordinate in near]
+        name = (lived or near)[0]
+        return Abscissa(name, self.coordinates[name], self.units[name])
 
     def _sizes(self, large: np.ndarray) -> tuple[Regime, ...]:
         """The sizes of a force where it is ``large`` (N,), by sign; none if that is nearly everywhere."""
@@ -187,7 +213,7 @@ def contribution(
     values = values.reshape(len(windows.rows), -1)[counted]
     along = {name: column[counted] for name, column in along.items()}
     own = model.terms[term].joint
-    return _of_one_joint(model, term, values, along, unit, joint if own is None else own)
+    return _of_one_joint(model, final.theta, term, values, along, unit, joint if own is None else own)
 
 
 def without_sizes(model: Model, theta: FloatArray, term: str) -> FloatArray:
@@ -201,6 +227,7 @@ def without_sizes(model: Model, theta: FloatArray, term: str) -> FloatArray:
 
 def _of_one_joint(
     model: Model,
+    theta: FloatArray,
     term: str,
     values: FloatArray,
     along: Mapping[str, FloatArray],
@@ -218,7 +245,19 @@ def _of_one_joint(
         elif whole in model.coordinate_units and number == str(column):
             units[name] = model.coordinate_units[whole]
     several = values.shape[1] > 1
-    return Contribution(term, values[:, column], unit, along, units, column if several else None)
+    period = _period(model, theta, term, units)
+    return Contribution(term, values[:, column], unit, along, units, column if several else None, period)
+
+
+def _period(model: Model, theta: FloatArray, term: str, units: Mapping[str, str]) -> tuple[str, float] | None:
+    """Along which of these coordinates a term repeats, and how far; None where it does not."""
+    order = model.terms[term].repeats
+    if order is None:
+        return None
+    name = order.waves_over if order.joint is None else f"{order.waves_over}_{order.joint}"
+    places = index_of(model.parameters)
+    times = float(theta[places[order.key]]) if order.key in places else order.scale
+    return (name, 2.0 * np.pi / times) if name in units and times > 0.0 else None
 
 
 def regimes(coordinates: Mapping[str, FloatArray], excess: FloatArray) -> tuple[Regime, ...]:

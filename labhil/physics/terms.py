@@ -127,6 +127,11 @@ class Term:
         """How often it repeats along a coordinate, estimated; None where it does not."""
         return next((p for p in self.parameters if p.waves_over), None)
 
+    @property
+    def repeats(self) -> Parameter | None:
+        """The same, estimated or known."""
+        return next((p for p in (*self.parameters, *self.known) if p.waves_over), None)
+
 
 def unkeyed(key: str) -> tuple[str, int | None]:
     """Name and joint that :func:`keyed` made a key of."""

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from labhil.diagnose import locate
 from labhil.diagnose.answer import Curve, Diagnosis
 from labhil.identify.score import Score
-from labhil.physics.model import Record
+from labhil.physics.model import Metric, Record
 from labhil.physics.terms import keyed
 from labhil.report.figure import AFTER, BEFORE, MEASURED, figure_of, finish, save
 from labhil.signals import FloatArray
@@ -94,8 +94,9 @@ def _draw_windows(axes: Axes, diagnosis: Diagnosis, j: int) -> None:
     for score, colour, label in _both(diagnosis, j):
         axes.plot(t, broken(score, measured + score.errors[:, j]), color=colour, lw=1.0, label=label)
     name = keyed(channel.channel, channel.joint)
-    title = "Simulated windows on data the search never saw"
-    finish(axes, title, time_axis(axes, record), f"{name}, {channel.unit}")
+    inverse = diagnosis.after.metric is Metric.INVERSE_DYNAMICS
+    what = "Inverse dynamics" if inverse else "Simulated windows"
+    finish(axes, f"{what} on data the search never saw", time_axis(axes, record), f"{name}, {channel.unit}")
 
 
 def _draw_errors(axes: Axes, diagnosis: Diagnosis, j: int) -> None:
@@ -129,15 +130,16 @@ def _draw_nothing(axes: Axes) -> None:
 
 def _draw_effect(axes: Axes, share: locate.Contribution, regimes: Sequence[locate.Regime]) -> None:
     """What an effect adds, against the coordinate that reveals it."""
-    name = share.revealed_over(regimes)
-    axes.scatter(share.coordinates[name], share.values, s=6, color=AFTER, alpha=0.5, lw=0)
-    for number, regime in enumerate(regimes):
-        # a regime of its own force lies across the picture
-        span = axes.axvspan if regime.coordinate == name else axes.axhspan
+    over = share.revealed_over(regimes)
+    axes.scatter(over.x, share.values, s=6, color=AFTER, alpha=0.5, lw=0)
+    # a regime of another coordinate is not in the picture; one of its own force lies across it
+    shown = [regime for regime in regimes if regime.coordinate in (over.name, share.term)]
+    for number, regime in enumerate(shown):
+        span = axes.axvspan if regime.coordinate == over.name else axes.axhspan
         label = "where most of it lives" if number == 0 else None
         span(regime.low, regime.high, color=BEFORE, alpha=0.15, label=label)
     effort = f"what it adds, {share.unit}" if share.unit else "what it adds"
-    finish(axes, f"Left out: {share.term}", f"{name}, {share.units[name]}", effort)
+    finish(axes, f"Left out: {share.term}", over.label, effort)
 
 
 def _draw_curve(axes: Axes, curve: Curve) -> None:

@@ -190,13 +190,25 @@ def test_what_no_coordinate_holds_together_lives_at_sizes_of_its_own_force():
 
 def test_an_effect_that_lives_everywhere_is_drawn_over_what_it_follows():
     x = np.linspace(-1.0, 1.0, 4001)
-    v = np.cos(40.0 * x)
+    v = np.cos(400.0 * x)
     along, units = {"x": x, "v": v}, {"x": "m", "v": "m/s"}
     dry = locate.Contribution("coulomb_friction", -np.sign(v), "N", along, units, None)
     assert dry.regimes() == ()
-    assert dry.revealed_over(()) == "v"
+    assert dry.revealed_over(()).label == "v, m/s"
     ends = replace(dry, values=np.maximum(np.abs(x) - 0.8, 0.0))
-    assert ends.revealed_over(ends.regimes()) == "x"
+    assert ends.revealed_over(ends.regimes()).name == "x"
+    # where it is large is told by x, what it is by v
+    bent = replace(dry, values=np.where(x > 0.5, 1.0, 0.3) * v)
+    assert {regime.coordinate for regime in bent.regimes()} == {"x"}
+    assert bent.revealed_over(bent.regimes()).name == "v"
+
+
+def test_what_repeats_is_drawn_over_one_period():
+    x = np.linspace(-1.0, 1.0, 4001)
+    wave = locate.Contribution("torque_ripple[1]", np.sin(200.0 * x), "N·m", {"q_1": x}, {"q_1": "rad"}, 1)
+    folded = replace(wave, period=("q_1", 2.0 * math.pi / 200.0)).revealed_over(())
+    assert folded.label == "q_1 modulo 0.0314, rad"
+    assert np.sin(200.0 * folded.x) == pytest.approx(wave.values, abs=1e-9)
 
 
 def test_correlated_residuals_are_worth_fewer():

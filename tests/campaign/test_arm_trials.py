@@ -15,6 +15,7 @@ from labhil.campaign.trials.answer import Answer, TrueEffect
 from labhil.campaign.trials.bench import bench_of
 from labhil.campaign.trials.card import count
 from labhil.campaign.trials.compose import compose
+from labhil.campaign.trials.folder import STEPWISE
 from labhil.campaign.trials.judge import judge
 from labhil.campaign.trials.make import Order, answers_beside, make_trials
 from labhil.campaign.trials.noise import TrueNoise
@@ -226,6 +227,9 @@ def test_three_trials_of_an_arm_from_drawing_to_score(tmp_path):
         make_trials(order, 1, silent)
         run_trials(folder, 1, silent)
         cards[name] = score_trials(folder, order.answers, silent)
+    # a method that does not say where an effect is
+    run_trials(folder, 1, silent, STEPWISE)
+    assert score_trials(folder, order.answers, silent, STEPWISE).effects == 1
     assert cards["null"].false_alarms == Share(0, 1)
     assert cards["joint"].confusion == {("torque_constant[3]", "torque_constant[3]"): 1}
     assert cards["joint"].joints == Share(1, 1)

@@ -40,12 +40,12 @@ def curves_of_diagnosis(result: DiagnosisResult) -> dict[str, Any]:
     curves = _channels(result.material.judge, {"before": diagnosis.before, "after": diagnosis.after})
     for key in diagnosis.named:
         share = locate.contribution(diagnosis.final_fit, key)
-        name = share.revealed_over(share.regimes())
-        x, y = np.asarray(share.coordinates[name]), np.asarray(share.values)
+        over = share.revealed_over(share.regimes())
+        x, y = over.x, np.asarray(share.values)
         step = max(1, len(x) // MOST_DOTS)
         curves[f"missing/{key}"] = y[::step].astype(np.float32)
         curves[f"missing/{key}/x"] = x[::step].astype(np.float32)
-        curves[f"missing/{key}/axis"] = np.array(f"{name}, {share.units[name]}")
+        curves[f"missing/{key}/axis"] = np.array(over.label)
     return curves
 
 

@@ -24,8 +24,8 @@ def overlap(oracle: Oracle, term: str, others: Sequence[str], said: Said) -> flo
 
     ``term`` is its key and ``others`` are the terms of the true model without it. Where joints have outputs
     of their own, those of the effect's joint count, of what belongs to no joint those of the joint where the
-    mismatch is said to be. None where that cannot be said: the effect exerts no force of its own, or shows
-    nearly everywhere.
+    mismatch is said to be, else of the one where the effect does most. None where that cannot be said: the
+    effect exerts no force of its own, or shows nearly everywhere.
     """
     theta = start_theta(oracle.model, oracle.values)
     with_it, without = oracle.marks(theta), oracle.marks(oracle.refit(others).theta)
@@ -45,7 +45,9 @@ def overlap(oracle: Oracle, term: str, others: Sequence[str], said: Said) -> flo
     own = oracle.model.effort(theta, here) - oracle.model.effort(less, fed)
     joint = oracle.model.terms[term].joint
     joint = said.joint if joint is None else joint
-    own = own[:, joint] if own.ndim == 2 else own
+    if own.ndim == 2:
+        joint = int(np.argmax(np.sum(own**2, axis=0))) if joint is None else joint
+        own = own[:, joint]
     here_only = [j for j, c in enumerate(with_it.channels) if joint is None or c.joint in (None, joint)]
     true = level_set(np.abs(own), excess[:, here_only].sum(axis=1))
     return None if true is None else agreement(true, inside({**here, term: own}, said.regimes, term))

@@ -148,7 +148,8 @@ def ripple(sizes: Sizes, joint: int, order: float) -> Term:
          f"τ = a·sin N·q + b·cos N·q, N = {order:g}",
          "harmonic drive: N is twice the gear's ratio; beyond half the sampling rate, N·|q̇| = π·rate, it is "
          "aliased, beyond the filter's cut-off it is filtered as the current is", "slow motion"),
-        sine, cosine, known=(Parameter("torque_ripple.order", "1", order, joint=joint),),
+        sine, cosine,
+        known=(Parameter("torque_ripple.order", "1", order, joint=joint, waves_over="actual_q"),),
     )  # fmt: skip
 
 
