@@ -229,7 +229,9 @@ def test_three_trials_of_an_arm_from_drawing_to_score(tmp_path):
         cards[name] = score_trials(folder, order.answers, silent)
     # a method that does not say where an effect is
     run_trials(folder, 1, silent, STEPWISE)
-    assert score_trials(folder, order.answers, silent, STEPWISE).effects == 1
+    stepwise = score_trials(folder, order.answers, silent, STEPWISE)
+    assert (stepwise.trials, stepwise.failures) == (1, 0)
+    assert stepwise.joints == Share(0, 0)
     assert cards["null"].false_alarms == Share(0, 1)
     assert cards["joint"].confusion == {("torque_constant[3]", "torque_constant[3]"): 1}
     assert cards["joint"].joints == Share(1, 1)
