@@ -141,8 +141,8 @@ def _looked_wider(
 ) -> tuple[Data, Found, FloatArray]:
     """Data, what was found, and what that leaves: of a wider search where held-out data show something else.
 
-    What that names has to explain them; else the first answer stays. Where it names nothing, what was named
-    first does not hold on more data, unless these still ask for it.
+    What that names has to explain them, or has to be more than was named first; else the first answer stays.
+    Where it names nothing, what was named first does not hold on more data, unless these still ask for it.
     """
     left = left_by(data, found.final)
     shown = unexplained(data, left[1]) or _marked(data, found).excess > SHOWN
@@ -157,10 +157,19 @@ def _looked_wider(
     again = look(wider, base)
     left_then = left_by(wider, again.final)
     if again.missing:
-        firm = not unexplained(wider, left_then)
+        firm = not unexplained(wider, left_then) or _more_of_the_same(found, again)
     else:
         firm = bool(np.max(left_then) < np.max(left)) and not _still_needed(wider, found, again)
     return (wider, again, left_then) if firm else (data, found, left)
+
+
+def _more_of_the_same(found: Found, again: Found) -> bool:
+    """Whether a wider search names all that was named first, and more.
+
+    No model of a real rig explains all: what more data add to it, as well supported, is no worse for that.
+    """
+    first, then = ({step.terms[0] for step in each.missing} for each in (found, again))
+    return bool(first) and first < then
 
 
 def _still_needed(wider: Data, found: Found, again: Found) -> bool:

@@ -15,6 +15,7 @@ from labhil.diagnose.judge import NEEDED_BIC, Data, supported
 from labhil.diagnose.refit import FINALISTS, confirm, refit, without
 from labhil.diagnose.screen import Progress, Screen, candidates
 from labhil.identify.fitted import Fitted, covariances
+from labhil.identify.known import Known
 from labhil.identify.statistics import nonzero
 from labhil.identify.waves import MOST
 from labhil.physics.model import index_of
@@ -155,31 +156,27 @@ def _significant(fitted: Fitted, term: str) -> bool:
     own = fitted.problem.model.terms[term]
     if any(p.shape for p in own.parameters) and own.order is None:
         return True
-    robust, _, _ = covariances(fitted)
+    robust, _, jacobian = covariances(fitted)
     places = index_of(fitted.problem.model.parameters)
     free = fitted.problem.free.tolist()
     sizes = [free.index(places[p.key]) for p in own.parameters if not p.shape and places[p.key] in free]
     values = fitted.theta[fitted.problem.free]
-    own_sizes = [j for j in range(len(free)) if fitted.problem.is_size(j) and np.isfinite(robust[j, j])]
     looks = MOST if own.order else 1
-    return nonzero(values[sizes], robust[np.ix_(sizes, sizes)], looks) or any(
-        nonzero(*_in_units_of(j, sizes, values, robust), looks) for j in own_sizes
-    )
+    if nonzero(values[sizes], robust[np.ix_(sizes, sizes)], looks):
+        return True
+    own_sizes = [j for j in range(len(free)) if fitted.problem.is_size(j) and np.isfinite(robust[j, j])]
+    known = Known.of(fitted, jacobian)
+    return any(nonzero(*_in_units_of(j, sizes, values, known), looks) for j in own_sizes)
 
 
 def _in_units_of(
-    unit: int, places: list[int], values: FloatArray, covariance: FloatArray
+    unit: int, places: list[int], values: FloatArray, known: Known
 ) -> tuple[FloatArray, FloatArray]:
     """Some of ``values`` (P,) over that at ``unit``, (k,), and their covariance (k, k) to first order."""
     slopes = np.zeros((len(places), len(values)))
     slopes[np.arange(len(places)), places] = 1.0 / values[unit]
     slopes[:, unit] -= values[places] / values[unit] ** 2
-    known = np.where(np.isfinite(np.diag(covariance)), 1.0, 0.0)
-    spread = np.where(np.outer(known, known) > 0.0, covariance, 0.0)
-    ratio = slopes @ spread @ slopes.T
-    unknown = [i for i, place in enumerate(places) if not known[place]]
-    ratio[unknown, unknown] = np.inf
-    return values[places] / values[unit], ratio
+    return values[places] / values[unit], known.covariance(slopes)
 
 
 def _without(data: Data, current: Fitted, term: str) -> Fitted:

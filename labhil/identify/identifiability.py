@@ -51,11 +51,11 @@ def identifiability(
     """
     if not len(values):
         return Identifiability(0, 0, (), ())
-    singular, rows = _relative_svd(parameters, values, jacobian)
+    scale, singular, rows = relative_svd(parameters, values, jacobian)
     weak = noise / np.maximum(singular, 1e-300) > WEAK
     names = [p.key for p in parameters]
     # from steps in scales to steps in logarithms; what is zero has none
-    scale, size = _scale(parameters, values), np.abs(values)
+    size = np.abs(values)
     logarithmic = np.divide(scale, size, out=np.zeros_like(scale), where=size > 0.0)
     return Identifiability(
         rank=int(np.sum(~weak)),
@@ -72,7 +72,7 @@ def weak_parameters(
     """Which parameters take part in a direction that the data do not know, (P,) of bool."""
     if not len(values):
         return np.empty(0, dtype=bool)
-    singular, rows = _relative_svd(parameters, values, jacobian)
+    _, singular, rows = relative_svd(parameters, values, jacobian)
     weak = noise / np.maximum(singular, 1e-300) > WEAK
     return np.asarray(np.any(np.abs(rows[weak]) > INVOLVED, axis=0))
 
@@ -86,7 +86,7 @@ def lost_directions(
     """
     if not len(values):
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=bool)
-    singular, rows = _relative_svd(parameters, values, jacobian)
+    _, singular, rows = relative_svd(parameters, values, jacobian)
     lost = rows[noise / np.maximum(singular, 1e-300) > LOST]
     involved = np.asarray(np.any(np.abs(lost) > INVOLVED, axis=0))
     return np.array(sorted(_pivots(lost)), dtype=np.int64), involved
@@ -106,15 +106,16 @@ def what_would_help(
     return replace(found, would_help=tuple(helpful))
 
 
-def _relative_svd(
+def relative_svd(
     parameters: Sequence[Parameter], values: FloatArray, jacobian: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    _, singular, rows = np.linalg.svd(jacobian * _scale(parameters, values), full_matrices=False)
-    return singular, rows
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What a relative change at ``values`` (P,) is, (P,); singular values (k,) of slopes (N, P) by these.
 
-
-def _scale(parameters: Sequence[Parameter], values: FloatArray) -> FloatArray:
-    return np.array([max(abs(v), p.scale) for v, p in zip(values, parameters, strict=True)])
+    It is one of a value's size, or of its scale where that is larger. Last come the directions, (k, P).
+    """
+    scale = np.array([max(abs(v), p.scale) for v, p in zip(values, parameters, strict=True)])
+    _, singular, rows = np.linalg.svd(jacobian * scale, full_matrices=False)
+    return scale, singular, rows
 
 
 def invariants(names: Sequence[str], directions: FloatArray) -> tuple[str, ...]:

@@ -67,7 +67,7 @@ class Projected:
     def degrees(self, penalty: FloatArray) -> float:
         """Effective degrees of freedom, the trace of (JᵀJ + Π)⁻¹·JᵀJ (Hastie and Tibshirani 1990)."""
         normal = self.slopes.T @ self.slopes
-        return float(np.trace(np.linalg.solve(normal + penalty, normal)))
+        return float(np.trace(np.linalg.solve(normal + penalty + _least(normal), normal)))
 
     def crossed(self, penalties: Sequence[FloatArray]) -> FloatArray:
         """Squared residuals of windows that had no part in the estimate, in turn for a tenth of them.
@@ -91,7 +91,8 @@ class Projected:
     def covariance(self, penalty: FloatArray, dof: float, channels: int) -> FloatArray:
         """Covariance (P, P) of the estimate, in units of the parameters' scales."""
         n = len(self.residuals)
-        inverse = np.linalg.inv(self.slopes.T @ self.slopes + penalty)
+        normal = self.slopes.T @ self.slopes
+        inverse = np.linalg.inv(normal + penalty + _least(normal))
         power = float(self.residuals @ self.residuals) / dof
         scores = (self.slopes * self.residuals[:, None]).reshape(n // channels, channels, -1).sum(axis=1)
         classical = power * inverse

@@ -31,7 +31,7 @@ from labhil.campaign.trials.secret import Drawn, Secret
 from labhil.campaign.trials.stepwise import log_ways
 from labhil.cli import app
 from labhil.errors import UnknownNameError, UsageError
-from labhil.identify.fitted import start_theta
+from labhil.identify.fitted import climb, start_theta
 from labhil.identify.window_states import held_at
 from labhil.identify.windows import fit_windows
 from labhil.physics.rigs import rig_model
@@ -492,10 +492,25 @@ def test_an_oracle_learns_from_whole_recordings():
     oracle = compose("axis", "0", random).oracle
     baseline = rig_model("axis").baseline
     refit = oracle.refit(baseline)
-    assert refit.window == oracle.search.longest
     truth = start_theta(oracle.model, oracle.values)
+    lengths = [0.5 * oracle.horizon, 1.5 * oracle.horizon]
+    cut = climb(oracle.model, oracle.search, baseline, lengths, oracle.sigma, start=truth, fresh=())[-1]
+    assert refit.likelihood > oracle.log_likelihood(cut.theta)
     # four parameters, each worth half a nat on average, of noise with neighbours that are alike
-    assert oracle.log_likelihood(refit.theta) > oracle.log_likelihood(truth) - 20.0
+    assert refit.likelihood > oracle.log_likelihood(truth) - 20.0
+
+
+@pytest.mark.parametrize("seed", [0, 3, 4, 8])
+def test_an_oracle_finds_the_right_minimum_of_a_ball_that_sticks(seed):
+    random = np.random.default_rng(seed)
+    setup = bench_of("ball_beam").setup(random)
+    bare = Secret(setup, setup.draw_base(random))
+    sticks = Drawn("static_friction", {"static_friction.level": 0.08}, {"static_friction.level": 1}, 3.0)
+    oracle = composed(replace(bare, effects=(sticks,)), setup.loudness(bare)).oracle
+    truth = oracle.log_likelihood(start_theta(oracle.model, oracle.values))
+    baseline = rig_model("ball_beam").baseline
+    assert oracle.refit([*baseline, "static_friction"]).likelihood > truth - 30.0
+    assert oracle.refit(baseline).likelihood < truth - 300.0
 
 
 def test_a_rig_stands_at_the_centre_of_its_excitation_before_it_is_recorded():

@@ -18,7 +18,6 @@ from labhil.campaign.trials.truth import model_values
 from labhil.errors import RecordingError, RunError, UsageError
 from labhil.physics.rigs import model_for, rig_model
 from labhil.rig import parse_rig
-from labhil.signals import FloatArray
 
 CLOSE = 0.12
 """Difference of the logarithms of a strength and its target that is close enough."""
@@ -77,7 +76,8 @@ def answer_of(found: Composed, name: str, recordings: dict[str, str]) -> Answer:
     known = _known(found)
     full = [*baseline, *known]
     without = {name: oracle.refit([term for term in full if term != name]) for name in known}
-    theta = oracle.refit(full).or_better(*without.values()).theta
+    best = oracle.refit(full).or_better(*without.values())
+    theta = best.theta
     floors = oracle.floors(theta, oracle.marks(theta))
     plain = oracle.refit(baseline).theta if known else theta
     return Answer(
@@ -85,7 +85,7 @@ def answer_of(found: Composed, name: str, recordings: dict[str, str]) -> Answer:
         rig=secret.kind,
         recordings=recordings,
         baseline=tuple(baseline),
-        effects=tuple(_effect(found, drawn, without.get(drawn.key), theta) for drawn in secret.effects),
+        effects=tuple(_effect(found, drawn, without.get(drawn.key), best) for drawn in secret.effects),
         truth=oracle.values,
         noise=found.noise,
         noise_floors=dict(zip(oracle.test.output_names, floors.tolist(), strict=True)),
@@ -95,27 +95,27 @@ def answer_of(found: Composed, name: str, recordings: dict[str, str]) -> Answer:
     )
 
 
-def _effect(found: Composed, drawn: Drawn, refit: Refit | None, theta: FloatArray) -> TrueEffect:
-    """What an effect is worth: ``refit`` is the model without it, None where no model has it anyway."""
+def _effect(found: Composed, drawn: Drawn, without: Refit | None, full: Refit) -> TrueEffect:
+    """What an effect is worth: ``without`` is the model less it, None where no model has it anyway."""
     oracle = found.oracle
-    if refit is not None:
-        without, best = refit.theta, oracle.log_likelihood(theta)
+    if without is not None:
+        less, gain = without, full.likelihood - without.likelihood
     else:
         setup = found.secret.setup
         silent = setup.record(setup.silent(found.secret, found.walks[1], 1))
-        without, best = theta, oracle.log_likelihood_of_truth(theta, silent)
+        less, gain = full, oracle.log_likelihood_of_truth(full.theta, silent) - full.likelihood
     return TrueEffect(
         term=drawn.term,
         joint=drawn.joint,
-        catalogue=refit is not None,
+        catalogue=without is not None,
         plant=drawn.parameters,
         parameters={
             p.key: oracle.values[p.key]
             for p in oracle.model.parameters
             if p.term == drawn.key and p.key in oracle.values
         },
-        strength=oracle.strength(without),
-        oracle_gain=best - oracle.log_likelihood(without),
+        strength=oracle.strength(less.theta),
+        oracle_gain=gain,
     )
 
 

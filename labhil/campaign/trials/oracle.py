@@ -12,7 +12,7 @@ from labhil.campaign.trials.noise import LeftNoise, TrueNoise
 from labhil.identify.fitted import WORST_GROWTH, Fitted, climb, fit_terms, start_theta
 from labhil.identify.problem import Point, Problem
 from labhil.identify.score import Score, score
-from labhil.identify.window_states import settled_states
+from labhil.identify.window_states import held_at, settled_states
 from labhil.identify.windows import all_of, fit_windows
 from labhil.physics.model import Model, Record, Windows, terms_named
 from labhil.signals import FloatArray, IntArray
@@ -21,7 +21,9 @@ RUNGS = (0.5, 1.5)
 """Lengths of the windows of a refit, in scored horizons; the last as long as those of a likelihood.
 
 After them comes the whole recording, if it is explained about as well: nothing but the measurement is noisy,
-and every window's own initial state takes away of what the data know.
+and every window's own initial state takes away of what the data know. A part that sticks and slips makes a
+rough cost, above all of a whole recording of a plant that integrates: there windows lead to the better
+minimum.
 """
 JUDGED = 1.5
 """Length of the windows of a likelihood, in scored horizons: a lead-in and a scored stretch."""
@@ -32,23 +34,17 @@ MOST_CARRIED = 100.0
 
 @dataclass(frozen=True, slots=True)
 class Refit:
-    """A vector fitted to the search data on windows (s), and the sum of its squared residuals there."""
+    """A vector fitted to the search data, and the logarithm of the test data's likelihood under it, nats."""
 
     theta: FloatArray
-    cost: float
-    window: float
-
-    @classmethod
-    def of(cls, fitted: Fitted) -> Refit:
-        """What counts of a fit."""
-        return cls(fitted.theta, fitted.solution.cost, fitted.window)
+    likelihood: float
 
     def or_better(self, *within: Refit) -> Refit:
-        """The best of this and of models within it on the same windows.
+        """The best of this and of models within it.
 
         What is within a model can never explain less than the model; a search may miss that.
         """
-        return min([self, *(r for r in within if r.window == self.window)], key=lambda refit: refit.cost)
+        return max([self, *within], key=lambda refit: refit.likelihood)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,24 +77,36 @@ class Oracle:
     def refit(self, terms: Sequence[str], fresh: Sequence[str] = ()) -> Refit:
         """These terms fitted to the search data from the truth on.
 
-        Terms in ``fresh``, which are not in the truth, begin at each of their own starts.
+        Terms in ``fresh``, which are not in the truth, begin at each of their own starts. Of several minima
+        that explain the search data about as well the test data tell which is the right one.
         """
         own = {p.key for p in self.model.parameters if p.term is None}
         own |= {p.key for term in terms_named(self.model, terms) for p in term.parameters}
         known = {k: v for k, v in self.values.items() if k in own}
-        # windows are there for the sake of their initial states
-        lengths = [share * self.horizon for share in RUNGS] if self._states else [self.search.longest]
-        on_windows = climb(
-            self.model, self.search, terms, lengths, self.sigma,
-            start=start_theta(self.model, known), fresh=fresh,
-        )[-1]  # fmt: skip
+        minima = self._minima(terms, known, fresh)
+        allowed = WORST_GROWTH * min(fitted.noise for fitted in minima)
+        refits = [
+            Refit(fitted.theta, self.log_likelihood(fitted.theta))
+            for fitted in minima
+            if fitted.noise <= allowed
+        ]
+        return refits[0].or_better(*refits[1:])
+
+    def _minima(self, terms: Sequence[str], known: Mapping[str, float], fresh: Sequence[str]) -> list[Fitted]:
+        """Where fits from the values ``known`` end: by way of short windows, at once, on whole recordings."""
+        model, search, sigma, begin = self.model, self.search, self.sigma, start_theta(self.model, known)
         if not self._states:
-            return Refit.of(on_windows)
-        whole = fit_terms(
-            self.model, self.search, terms, self.search.longest, self.sigma,
-            start=on_windows.theta, starts=[{}, known],
-        )  # fmt: skip
-        return Refit.of(whole if whole.noise <= WORST_GROWTH * on_windows.noise else on_windows)
+            return [climb(model, search, terms, [search.longest], sigma, start=begin, fresh=fresh)[-1]]
+        # windows are there for the sake of their initial states
+        lengths = [share * self.horizon for share in RUNGS]
+        climbed = climb(model, search, terms, lengths, sigma, start=begin, fresh=fresh)[-1]
+        states = held_at(model, begin, search, climbed.problem.windows, sigma, thorough=True).states
+        at_once = fit_terms(
+            model, search, terms, lengths[-1], sigma, start=begin, states=states, new_terms=fresh
+        )
+        best = min(climbed, at_once, key=lambda fitted: fitted.solution.cost)
+        whole = fit_terms(model, search, terms, search.longest, sigma, start=best.theta, starts=[{}, known])
+        return [climbed, at_once, whole]
 
     def marks(self, theta: FloatArray) -> Score:
         """A vector's score on the test data."""

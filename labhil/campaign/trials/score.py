@@ -114,8 +114,7 @@ class Bystander:
         without = oracle.refit(others)
         new = [] if rival in others else [rival]
         best = oracle.refit([*others, *new], new).or_better(without)
-        known, instead = (oracle.log_likelihood(found.theta) for found in (without, best))
-        return effect.oracle_gain - (instead - known)
+        return effect.oracle_gain - (best.likelihood - without.likelihood)
 
     def overlap(self, said: Said) -> float | None:
         """Agreement of reported regimes with the true one; None unless one effect makes the difference."""
