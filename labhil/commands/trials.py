@@ -54,6 +54,9 @@ def trial_make(
         int | None, typer.Option(help="For tests: the same trials again; default: the system's randomness.")
     ] = None,
     first: Annotated[int, typer.Option(help=FIRST)] = 1,
+    seconds: Annotated[
+        float | None, typer.Option(help="How long each recording is (default: 2 to 30, by the rig).")
+    ] = None,
     jobs: Annotated[int | None, typer.Option(help="Processes (default: one a core).")] = None,
 ) -> None:
     """Draw rigs with concealed physics and record them; the answers are sealed in a folder elsewhere.
@@ -63,7 +66,9 @@ def trial_make(
     """
     from labhil.campaign.trials.make import Order, answers_beside, make_trials
 
-    order = Order(rig, trials, effects, out, answers or answers_beside(out), seed, first=first)
+    order = Order(
+        rig, trials, effects, out, answers or answers_beside(out), seed, first=first, seconds=seconds
+    )
     with status() as say:
         index = make_trials(order, jobs or cores(), say)
     if index.fixed_seed:

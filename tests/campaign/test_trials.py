@@ -523,3 +523,17 @@ def test_a_rig_stands_at_the_centre_of_its_excitation_before_it_is_recorded():
     theta, windows = start_theta(oracle.model, oracle.values), fit_windows(oracle.search, oracle.horizon)
     found = held_at(oracle.model, theta, oracle.search, windows, oracle.sigma)
     assert np.sqrt(np.mean(found.residuals**2)) < 2.0
+
+
+@pytest.mark.parametrize(("rig", "period"), [("solenoid", 1e-3), ("ball_beam", 0.01)])
+def test_recordings_are_as_long_as_they_are_ordered(tmp_path, rig, period):
+    make_trials(Order(rig, 1, "0", tmp_path / "set", tmp_path / "answers", seed=5, seconds=6.0), 1, str)
+    for role in ("search", "test"):
+        t = read_recording(tmp_path / "set" / "001" / f"{role}.mcap").streams[0].t
+        assert t[-1] - t[0] == pytest.approx(6.0, abs=2.0 * period)
+
+
+def test_a_recording_of_no_length_is_refused(tmp_path):
+    order = Order("axis", 1, "0", tmp_path / "set", tmp_path / "answers", seconds=0.5)
+    with pytest.raises(UsageError, match="--seconds: expected at least 2, found 0.5"):
+        make_trials(order, 1, str)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -96,6 +96,7 @@ class ArmBench:
     """A UR5 with the manufacturer's links and known torque constants (satisfies ``secret.Bench``)."""
 
     kind: str = "ur5"
+    durations: tuple[float, ...] = DURATIONS
 
     @property
     def rig(self) -> str:
@@ -105,7 +106,7 @@ class ArmBench:
     def setup(self, random: np.random.Generator) -> ArmSetup:
         """The rig under random conditions."""
         made = ArmConditions(
-            duration=float(random.choice(DURATIONS)),
+            duration=float(random.choice(self.durations)),
             period=float(random.choice(PERIODS)),
             harmonics=int(random.integers(*HARMONICS)),
             briskness=spread(BRISKNESS, random),
@@ -117,6 +118,10 @@ class ArmBench:
             seeds=(int(random.integers(2**31)), int(random.integers(2**31))),
         )
         return ArmSetup(self, made)
+
+    def lasting(self, seconds: float) -> ArmBench:
+        """The same with recordings that are so long, s."""
+        return replace(self, durations=(seconds,))
 
 
 UR5 = ArmBench()

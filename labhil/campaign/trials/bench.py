@@ -15,8 +15,11 @@ BENCHES: Mapping[str, Bench] = {
 }
 
 
-def bench_of(kind: str) -> Bench:
-    """The bench of a kind of rig; UnknownNameError lists those that there are."""
+def bench_of(kind: str, seconds: float | None = None) -> Bench:
+    """The bench of a kind of rig, its recordings so long or as long as it has them.
+
+    UnknownNameError lists those that there are.
+    """
     if kind not in BENCHES:
         raise UnknownNameError("rig with trials", kind, BENCHES)
-    return BENCHES[kind]
+    return BENCHES[kind] if seconds is None else BENCHES[kind].lasting(seconds)

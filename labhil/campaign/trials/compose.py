@@ -44,9 +44,12 @@ class Composed:
     oracle: Oracle
 
 
-def compose(kind: str, sort: str, random: np.random.Generator) -> Composed:
-    """Draw one trial of a sort; RunError where nothing that was drawn can be as strong as it is to be."""
-    bench = bench_of(kind)
+def compose(kind: str, sort: str, random: np.random.Generator, seconds: float | None = None) -> Composed:
+    """Draw one trial of a sort, ``seconds`` long (None: as long as the bench has them).
+
+    RunError where nothing that was drawn can be as strong as it is to be.
+    """
+    bench = bench_of(kind, seconds)
     for _ in range(DRAWS):
         setup = bench.setup(random)
         bare = Secret(setup, setup.draw_base(random))

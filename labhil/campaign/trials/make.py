@@ -23,6 +23,8 @@ from labhil.recording.writer import RecordingWriter
 from labhil.signals import Batch, Stream
 
 SEED_BITS = 128
+SHORTEST = 2.0
+"""s, of a recording."""
 Progress = Callable[[str], None]
 
 
@@ -31,7 +33,8 @@ class Order:
     """What is asked for: a kind of rig, how many trials of which sort, and where they go.
 
     ``seed`` None draws from the system's randomness; with ``resume`` trials of the same order that are there
-    stay. The ``first`` has that number: of a seed whose earlier trials somebody has looked at.
+    stay. The ``first`` has that number: of a seed whose earlier trials somebody has looked at. Recordings
+    are as long as the bench has them, or so many ``seconds``.
     """
 
     kind: str
@@ -42,6 +45,7 @@ class Order:
     seed: int | None = None
     resume: bool = False
     first: int = 1
+    seconds: float | None = None
 
     @property
     def names(self) -> dict[str, int]:
@@ -111,7 +115,7 @@ def _made(order: Order, names: Collection[str]) -> dict[str, Listed]:
 def make_trial(order: Order, name: str, entropy: tuple[int, ...]) -> Listed:
     """Draw and write one trial; only its seal is returned."""
     random = np.random.default_rng(entropy)
-    found = compose(order.kind, draw_sort(order.sort, random), random)
+    found = compose(order.kind, draw_sort(order.sort, random), random, order.seconds)
     paths = [_write(found, walk, order.out, name, i) for i, walk in enumerate(found.walks)]
     hashes = {path.stem: sha256_of(path) for path in paths}
     answer = answer_of(found, name, hashes).to_json()
@@ -126,6 +130,8 @@ def _checked(order: Order, jobs: int) -> Bench:
         raise UsageError(f"--first: expected at least 1, found {order.first}")
     if jobs < 1:
         raise UsageError(f"--jobs: expected at least 1, found {jobs}")
+    if order.seconds is not None and not order.seconds >= SHORTEST:
+        raise UsageError(f"--seconds: expected at least {SHORTEST:g}, found {order.seconds:g}")
     refuse_unknown_sort(order.sort)
     if order.answers.resolve().is_relative_to(order.out.resolve()):
         raise UsageError(

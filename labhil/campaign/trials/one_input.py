@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -70,6 +70,11 @@ class OneInputBench:
     def setup(self, random: np.random.Generator) -> OneInputSetup:
         """The rig under random conditions."""
         return OneInputSetup(self, _conditions(self, random))
+
+    def lasting(self, seconds: float) -> OneInputBench:
+        """The same with recordings that are so long, s."""
+        samples = round(seconds / self.period)
+        return replace(self, samples=(samples, samples))
 
 
 @dataclass(frozen=True, slots=True)

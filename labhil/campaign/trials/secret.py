@@ -151,3 +151,7 @@ class Bench(Protocol):
     def setup(self, random: np.random.Generator) -> Setup:
         """The rig under random conditions."""
         ...
+
+    def lasting(self, seconds: float) -> Bench:
+        """The same with recordings that are so long, s."""
+        ...
