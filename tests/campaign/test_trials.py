@@ -535,5 +535,5 @@ def test_recordings_are_as_long_as_they_are_ordered(tmp_path, rig, period):
 
 def test_a_recording_of_no_length_is_refused(tmp_path):
     order = Order("axis", 1, "0", tmp_path / "set", tmp_path / "answers", seconds=0.5)
-    with pytest.raises(UsageError, match="--seconds: expected at least 2, found 0.5"):
+    with pytest.raises(UsageError, match=r"--seconds: expected at least 2, found 0\.5"):
         make_trials(order, 1, str)

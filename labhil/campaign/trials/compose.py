@@ -182,5 +182,5 @@ def _strength(bare: Secret, drawn: Drawn | None, noise: TrueNoise, joint: int | 
     extra = () if drawn is None else (drawn,)
     found = composed(replace(bare, effects=(*bare.effects, *extra)), noise)
     others = [key for key in _known(found) if drawn is None or key != drawn.key]
-    theta = found.oracle.refit([*rig_model(bare.kind).baseline, *others]).theta
+    theta = found.oracle.rough([*rig_model(bare.kind).baseline, *others])
     return found.oracle.strength(theta, joint)

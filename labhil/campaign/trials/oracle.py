@@ -80,10 +80,10 @@ class Oracle:
         Terms in ``fresh``, which are not in the truth, begin at each of their own starts. Of several minima
         that explain the search data about as well the test data tell which is the right one.
         """
-        own = {p.key for p in self.model.parameters if p.term is None}
-        own |= {p.key for term in terms_named(self.model, terms) for p in term.parameters}
-        known = {k: v for k, v in self.values.items() if k in own}
+        known = self._own(terms)
         minima = self._minima(terms, known, fresh)
+        if self._states:
+            minima.append(self._as_one(min(minima, key=_cost), terms, known))
         allowed = WORST_GROWTH * min(fitted.noise for fitted in minima)
         refits = [
             Refit(fitted.theta, self.log_likelihood(fitted.theta))
@@ -92,8 +92,18 @@ class Oracle:
         ]
         return refits[0].or_better(*refits[1:])
 
+    def rough(self, terms: Sequence[str]) -> FloatArray:
+        """The vector (P,) of a refit on windows only: near enough to tell how strong an effect is."""
+        return min(self._minima(terms, self._own(terms), ()), key=_cost).theta
+
+    def _own(self, terms: Sequence[str]) -> dict[str, float]:
+        """The true values of these terms, and of the rig's own sizes."""
+        own = {p.key for p in self.model.parameters if p.term is None}
+        own |= {p.key for term in terms_named(self.model, terms) for p in term.parameters}
+        return {k: v for k, v in self.values.items() if k in own}
+
     def _minima(self, terms: Sequence[str], known: Mapping[str, float], fresh: Sequence[str]) -> list[Fitted]:
-        """Where fits from the values ``known`` end: by way of short windows, at once, on whole recordings."""
+        """Where fits from the values ``known`` end on windows: by way of short ones, and at once."""
         model, search, sigma, begin = self.model, self.search, self.sigma, start_theta(self.model, known)
         if not self._states:
             return [climb(model, search, terms, [search.longest], sigma, start=begin, fresh=fresh)[-1]]
@@ -104,9 +114,13 @@ class Oracle:
         at_once = fit_terms(
             model, search, terms, lengths[-1], sigma, start=begin, states=states, new_terms=fresh
         )
-        best = min(climbed, at_once, key=lambda fitted: fitted.solution.cost)
-        whole = fit_terms(model, search, terms, search.longest, sigma, start=best.theta, starts=[{}, known])
-        return [climbed, at_once, whole]
+        return [climbed, at_once]
+
+    def _as_one(self, best: Fitted, terms: Sequence[str], known: Mapping[str, float]) -> Fitted:
+        """The fit to whole recordings, from the best on windows or from the values ``known``."""
+        starts: list[Mapping[str, float]] = [{}, known]
+        longest = self.search.longest
+        return fit_terms(self.model, self.search, terms, longest, self.sigma, start=best.theta, starts=starts)
 
     def marks(self, theta: FloatArray) -> Score:
         """A vector's score on the test data."""
@@ -185,6 +199,10 @@ class Oracle:
     def _states(self) -> bool:
         """Whether windows of this model begin in states of their own."""
         return bool(self.model.state_names)
+
+
+def _cost(fitted: Fitted) -> float:
+    return fitted.solution.cost
 
 
 Whiten = Callable[[FloatArray], FloatArray]
