@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
+from labhil.cores import shared_out
 from labhil.diagnose import contradiction
 from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.evidence import effective_samples
@@ -103,6 +104,7 @@ class Verification:
     notes: tuple[str, ...]
 
 
+@shared_out
 def verify(
     model: Model,
     record: Record,
