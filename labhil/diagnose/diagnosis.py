@@ -10,7 +10,6 @@ from functools import partial
 import numpy as np
 from scipy import stats
 
-from labhil.cores import shared_out
 from labhil.diagnose import telling
 from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.answer import Change, Diagnosis, Undecided
@@ -45,7 +44,6 @@ LASTS = 1.1
 """Factor by which noise as the baseline leaves it must differ from that of single samples to count."""
 
 
-@shared_out
 def diagnose(
     model: Model,
     searched: Record,

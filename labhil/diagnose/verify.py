@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from labhil.cores import shared_out
 from labhil.diagnose import contradiction
 from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.evidence import effective_samples
@@ -104,7 +103,6 @@ class Verification:
     notes: tuple[str, ...]
 
 
-@shared_out
 def verify(
     model: Model,
     record: Record,

@@ -8,7 +8,6 @@ from functools import partial
 
 import numpy as np
 
-from labhil.cores import shared_out
 from labhil.errors import UnknownNameError, UsageError
 from labhil.identify import statistics
 from labhil.identify.estimators import DEFAULT, INTERRUPTED, search
@@ -126,7 +125,6 @@ class Fit:
     converged: bool
 
 
-@shared_out
 def fit(
     model: Model,
     record: Record,

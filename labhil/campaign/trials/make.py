@@ -17,7 +17,6 @@ from labhil.campaign.trials.draw import draw_sort, refuse_unknown_sort
 from labhil.campaign.trials.folder import INDEX, RIG, Index, Listed, read_index, recording
 from labhil.campaign.trials.seal import sha256_of, write_envelope
 from labhil.campaign.trials.secret import Bench, Walk
-from labhil.cores import shared_out
 from labhil.errors import UsageError
 from labhil.recording.reader import RIG_ATTACHMENT
 from labhil.recording.writer import RecordingWriter
@@ -113,7 +112,6 @@ def _made(order: Order, names: Collection[str]) -> dict[str, Listed]:
     return done
 
 
-@shared_out
 def make_trial(order: Order, name: str, entropy: tuple[int, ...]) -> Listed:
     """Draw and write one trial; only its seal is returned."""
     random = np.random.default_rng(entropy)

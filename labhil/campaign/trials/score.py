@@ -17,7 +17,6 @@ from labhil.campaign.trials.oracle import Oracle
 from labhil.campaign.trials.regime import overlap
 from labhil.campaign.trials.said import Said, read_said
 from labhil.campaign.trials.seal import open_envelope, sha256_of
-from labhil.cores import shared_out
 from labhil.errors import UsageError
 from labhil.report.material import load_material
 
@@ -90,7 +89,6 @@ def opened(listed: Listed, answers: Path) -> Answer:
     return answer
 
 
-@shared_out
 def _judge(results: Results, answer: Answer) -> Judged:
     said = read_said(results.of(answer.trial))
     oracle = Bystander(results.folder, answer)

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from labhil.cores import shared_out
 from labhil.diagnose.diagnosis import data_of, fit_baseline
 from labhil.diagnose.judge import Data
 from labhil.diagnose.refit import refit
@@ -37,7 +36,6 @@ MOST = 8
 """Terms after which no more are looked for: no trial conceals half as many."""
 
 
-@shared_out
 def stepwise_study(material: Material) -> dict[str, Any]:
     """What the method says of a trial, as JSON data in the form of a diagnosis, as far as it goes."""
     began = time.perf_counter()
