@@ -23,7 +23,7 @@ from labhil.diagnose.load import with_load
 from labhil.diagnose.rest import left_by, unexplained
 from labhil.diagnose.search import onward, search
 from labhil.diagnose.unmodelled import Unmodelled
-from labhil.diagnose.wider import searched_and_kept
+from labhil.diagnose.wider import goes_elsewhere, searched_and_kept
 from labhil.identify.fitted import Fitted, climb, start_theta
 from labhil.identify.noise import lasting_noise
 from labhil.identify.score import Score, score, with_forces
@@ -141,8 +141,9 @@ def _looked_wider(
 ) -> tuple[Data, Found, FloatArray]:
     """Data, what was found, and what that leaves: of a wider search where held-out data show something else.
 
-    What that names has to explain them, or has to be more than was named first; else the first answer stays.
-    Where it names nothing, what was named first does not hold on more data, unless these still ask for it.
+    What that names has to explain them, or to be more than was named first, of data that go elsewhere; else
+    the first answer stays. Where it names nothing, what was named first does not hold on more data, unless
+    these still ask for it.
     """
     left = left_by(data, found.final)
     shown = unexplained(data, left[1]) or _marked(data, found).excess > SHOWN
@@ -157,7 +158,8 @@ def _looked_wider(
     again = look(wider, base)
     left_then = left_by(wider, again.final)
     if again.missing:
-        firm = not unexplained(wider, left_then) or _more_of_the_same(found, again)
+        more = goes_elsewhere(data) and _more_of_the_same(found, again)
+        firm = more or not unexplained(wider, left_then)
     else:
         firm = bool(np.max(left_then) < np.max(left)) and not _still_needed(wider, found, again)
     return (wider, again, left_then) if firm else (data, found, left)

@@ -17,6 +17,9 @@ from labhil.physics.model import Record, joined
 PARTS = (4, 2)
 """Into how many the held-out recording is cut, if they are long enough: an effect may act now and then."""
 
+ELSEWHERE = 0.1
+"""Share of the held-out samples beyond all that was searched from which that other one goes elsewhere."""
+
 LONG_ENOUGH = 1.25
 """Horizons in each, at least: half of one before what is scored."""
 
@@ -36,3 +39,13 @@ def searched_and_kept(data: Data) -> tuple[Record, Record] | None:
             searched, kept = joined([data.search, *parts[::2]]), joined(parts[1::2])
             return told_apart(data.model, searched), told_apart(data.model, kept)
     return None
+
+
+def goes_elsewhere(data: Data) -> bool:
+    """Whether an output of the held-out data often lies beyond all values that were searched.
+
+    A motor that turned one way only while it was searched turns the other way, too.
+    """
+    low, high = data.search.outputs.min(axis=0), data.search.outputs.max(axis=0)
+    beyond = (data.test.outputs < low - data.sigma) | (data.test.outputs > high + data.sigma)
+    return bool(np.any(beyond.mean(axis=0) > ELSEWHERE))

@@ -1,0 +1,38 @@
+"""When a wider search may add to an answer: of data that go where the searched ones never were."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labhil.diagnose.diagnosis import data_of
+from labhil.diagnose.wider import goes_elsewhere
+from labhil.physics.model import Record
+from labhil.physics.rigs import model_for
+from labhil.rig import default_rig
+
+
+def turning(speeds, seed):
+    """A motor's record with these speeds (rad/s), read with noise."""
+    read = np.asarray(speeds) + 0.01 * np.random.default_rng(seed).standard_normal(len(speeds))
+    t = 0.01 * np.arange(len(speeds))
+    return Record(t, np.asarray(speeds)[:, None], read[:, None], ("voltage",), ("speed",), ("rad/s",))
+
+
+@pytest.mark.parametrize(
+    ("largest", "elsewhere"),
+    [(5.0, False), (5.0 + 1e-3, False), (5.5, True), (-5.0, True)],
+)
+def test_readings_beyond_all_that_was_searched_go_elsewhere(largest, elsewhere):
+    swing = 0.5 * (1.0 - np.cos(np.linspace(0.0, 12.0 * np.pi, 1000)))
+    searched, held_out = turning(5.0 * swing, 1), turning(largest * swing, 2)
+    model = model_for(default_rig("dc_motor"), searched)
+    assert goes_elsewhere(data_of(model, searched, held_out)) == elsewhere
+
+
+def test_a_reading_or_two_beyond_are_not_elsewhere():
+    swing = 0.5 * (1.0 - np.cos(np.linspace(0.0, 12.0 * np.pi, 1000)))
+    further = 5.0 * swing
+    further[500:550] += 3.0
+    model = model_for(default_rig("dc_motor"), turning(swing, 1))
+    assert not goes_elsewhere(data_of(model, turning(5.0 * swing, 1), turning(further, 2)))
