@@ -10,39 +10,30 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
 from labhil.cores import cores
 from labhil.physics.model import Windows
-from labhil.signals import FloatArray
+from labhil.signals import FloatArray, IntArray
 
 WORTH_A_CORE = 4000
 """Rows that take a kernel much longer than it takes to hand them over."""
 
-Given = tuple[Any, ...]
+Kernel = Callable[[IntArray, IntArray, FloatArray, FloatArray], object]
+"""Simulates windows (first and last samples, states) into their rows of an output."""
 
 
-def at_once(
-    kernel: Callable[..., object],
-    before: Given,
-    windows: Windows,
-    states: FloatArray,
-    after: Given,
-    out: FloatArray,
-) -> None:
+def at_once(kernel: Kernel, windows: Windows, states: FloatArray, out: FloatArray) -> None:
     """Simulate ``windows`` from their ``states`` (W, states) into the rows of ``out`` (N, …).
 
-    ``kernel(*before, first, last, states, *after, rows)`` may be called several times at once, each time with
-    some of the windows (first and last samples) and their rows only.
+    ``kernel`` may be called several times at once, each time with some of the windows and their rows only.
     """
     own, *others = _parts(windows)
 
     def simulate(part: Part) -> None:
         chosen, rows = part
-        first, last = windows.first[chosen], windows.last[chosen]
-        kernel(*before, first, last, states[chosen], *after, out[rows])
+        kernel(windows.first[chosen], windows.last[chosen], states[chosen], out[rows])
 
     handed: list[tuple[Future[None], Part]] = [(_helpers().submit(simulate, part), part) for part in others]
     simulate(own)

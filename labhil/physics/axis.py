@@ -24,7 +24,7 @@ from labhil.physics.path_terms import input_terms, output_terms
 from labhil.physics.terms import TWO_WAVES, Enters, Parameter, Term, Yardstick
 from labhil.physics.values import Values, horizon_of, known_numbers, near
 from labhil.rig import RigFile
-from labhil.signals import FloatArray
+from labhil.signals import FloatArray, IntArray
 
 TIME_CONSTANTS = 3.0
 REFERENCE = 20.0
@@ -318,11 +318,15 @@ class AxisModel:
         change = self._warming(theta, record)
         out = np.empty((len(windows.rows), 3))
         mass = self._mass(theta)
-        given = (record.t, nodes, values)
-        laws = (self._table(theta), self._part(theta), self._values.friction_law(theta, mass), change)
-        if self._extra is None:
-            at_once(sliding.simulate, given, windows, states, laws, out)
-        else:
-            pushed = (*laws, *self._extra.over(mass, record))
-            at_once(sliding.simulate_pushed, given, windows, states, pushed, out)
+        table, part, law = self._table(theta), self._part(theta), self._values.friction_law(theta, mass)
+        extra = None if self._extra is None else self._extra.over(mass, record)
+
+        def kernel(first: IntArray, last: IntArray, begun: FloatArray, rows: FloatArray) -> None:
+            given = (record.t, nodes, values, first, last, begun, table, part, law, change)
+            if extra is None:
+                sliding.simulate(*given, rows)
+            else:
+                sliding.simulate_pushed(*given, *extra, rows)
+
+        at_once(kernel, windows, states, out)
         return out[:, :2]

@@ -23,7 +23,7 @@ from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.terms import Term, Yardstick
 from labhil.physics.values import Values, horizon_of, known_numbers, near
 from labhil.rig import RigFile
-from labhil.signals import FloatArray
+from labhil.signals import FloatArray, IntArray
 
 TIME_CONSTANTS = 3.0
 """Scored horizon in mechanical time constants."""
@@ -219,13 +219,18 @@ class DcMotorModel:
         if "angle" in record.auxiliary:
             begun[:, 2] = record.auxiliary["angle"][windows.first]
         out = np.empty((len(windows.rows), 3))
-        given, law = (record.t, node_t, voltage), self._values.friction_law(theta, self._inertia(theta))
-        laws = (self._motor(theta), law, self._warm(theta, record), self._viscous_change(theta, record))
-        if self._extra is None:
-            at_once(winding.simulate, given, windows, begun, laws, out)
-        else:
-            pushed = (*laws, *self._extra.over(self._inertia(theta), record))
-            at_once(winding.simulate_pushed, given, windows, begun, pushed, out)
+        motor, law = self._motor(theta), self._values.friction_law(theta, self._inertia(theta))
+        warm, change = self._warm(theta, record), self._viscous_change(theta, record)
+        extra = None if self._extra is None else self._extra.over(self._inertia(theta), record)
+
+        def kernel(first: IntArray, last: IntArray, begun: FloatArray, rows: FloatArray) -> None:
+            given = (record.t, node_t, voltage, first, last, begun, motor, law, warm, change)
+            if extra is None:
+                winding.simulate(*given, rows)
+            else:
+                winding.simulate_pushed(*given, *extra, rows)
+
+        at_once(kernel, windows, begun, out)
         return out
 
     def _warm(self, theta: FloatArray, record: Record) -> FloatArray:

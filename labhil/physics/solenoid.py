@@ -30,7 +30,7 @@ from labhil.physics.path_terms import input_terms, offset_term, output_terms
 from labhil.physics.terms import Enters, Parameter, Term, Yardstick
 from labhil.physics.values import Values, horizon_of, known_numbers, near
 from labhil.rig import RigFile
-from labhil.signals import FloatArray
+from labhil.signals import FloatArray, IntArray
 
 STROKE = 5e-3
 FORCE_MAP = {(1, 0): 8.0, (1, 1): 2.0, (1, 2): -3.0, (2, 0): 12.0, (2, 1): 1.5, (3, 0): -2.0}
@@ -315,11 +315,16 @@ class SolenoidModel:
         nodes, current = self._field(theta, record)
         mass = self._values.of(theta, "moving_mass")
         out = np.empty((len(windows.rows), 3))
-        given, law = (record.t, nodes, current), self._values.friction_law(theta, mass)
-        laws = (self.map / mass, self._part(theta), law, np.ones(len(record)))
-        if self._extra is None:
-            at_once(sliding.simulate, given, windows, states, laws, out)
-        else:
-            pushed = (*laws, *self._extra.over(mass, record))
-            at_once(sliding.simulate_pushed, given, windows, states, pushed, out)
+        table, part, law = self.map / mass, self._part(theta), self._values.friction_law(theta, mass)
+        steady = np.ones(len(record))
+        extra = None if self._extra is None else self._extra.over(mass, record)
+
+        def kernel(first: IntArray, last: IntArray, begun: FloatArray, rows: FloatArray) -> None:
+            given = (record.t, nodes, current, first, last, begun, table, part, law, steady)
+            if extra is None:
+                sliding.simulate(*given, rows)
+            else:
+                sliding.simulate_pushed(*given, *extra, rows)
+
+        at_once(kernel, windows, states, out)
         return out[:, :2]

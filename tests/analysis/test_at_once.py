@@ -92,7 +92,7 @@ def counted(windows: Windows) -> np.ndarray:
         assert (last - first).sum() == len(rows)
         rows += 1.0
 
-    at_once.at_once(kernel, (), windows, np.zeros((len(windows), 1)), (), out)
+    at_once.at_once(kernel, windows, np.zeros((len(windows), 1)), out)
     return out
 
 
@@ -115,7 +115,7 @@ def test_an_error_of_a_part_is_not_lost(three_cores):
             raise ArithmeticError("expected")
 
     with pytest.raises(ArithmeticError, match="expected"):
-        at_once.at_once(kernel, (), windows, np.zeros((9, 1)), (), np.zeros((90, 1)))
+        at_once.at_once(kernel, windows, np.zeros((9, 1)), np.zeros((90, 1)))
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")
