@@ -13,7 +13,6 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from labhil.physics import sliding
-from labhil.physics.at_once import at_once
 from labhil.physics.drive_balance import CUT_OFF, Balance, DriveMotion
 from labhil.physics.driven import DrivenPath
 from labhil.physics.extra_force import ExtraForce, MovedPart
@@ -24,7 +23,7 @@ from labhil.physics.path_terms import input_terms, output_terms
 from labhil.physics.terms import TWO_WAVES, Enters, Parameter, Term, Yardstick
 from labhil.physics.values import Values, horizon_of, known_numbers, near
 from labhil.rig import RigFile
-from labhil.signals import FloatArray, IntArray
+from labhil.signals import FloatArray
 
 TIME_CONSTANTS = 3.0
 REFERENCE = 20.0
@@ -318,15 +317,12 @@ class AxisModel:
         change = self._warming(theta, record)
         out = np.empty((len(windows.rows), 3))
         mass = self._mass(theta)
-        table, part, law = self._table(theta), self._part(theta), self._values.friction_law(theta, mass)
-        extra = None if self._extra is None else self._extra.over(mass, record)
-
-        def kernel(first: IntArray, last: IntArray, begun: FloatArray, rows: FloatArray) -> None:
-            given = (record.t, nodes, values, first, last, begun, table, part, law, change)
-            if extra is None:
-                sliding.simulate(*given, rows)
-            else:
-                sliding.simulate_pushed(*given, *extra, rows)
-
-        at_once(kernel, windows, states, out)
+        given = (
+            record.t, nodes, values, windows.first, windows.last, states, self._table(theta),
+            self._part(theta), self._values.friction_law(theta, mass), change,
+        )  # fmt: skip
+        if self._extra is None:
+            sliding.simulate(*given, out)
+        else:
+            sliding.simulate_pushed(*given, *self._extra.over(mass, record), out)
         return out[:, :2]

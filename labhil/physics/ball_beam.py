@@ -12,7 +12,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from labhil.physics import input_path, rolling
-from labhil.physics.at_once import at_once
 from labhil.physics.driven import lagged
 from labhil.physics.extra_force import ExtraForce, MovedPart
 from labhil.physics.friction_terms import friction_terms
@@ -21,7 +20,7 @@ from labhil.physics.model import Metric, Record, Windows, index_of, start_values
 from labhil.physics.path_terms import input_terms, offset_term, output_terms
 from labhil.physics.terms import Enters, Parameter, Term, Yardstick
 from labhil.rig import RigFile
-from labhil.signals import FloatArray, IntArray
+from labhil.signals import FloatArray
 
 GRAVITY = 9.81
 SOLID_BALL = 0.4
@@ -256,14 +255,12 @@ class BallBeamModel:
         """x and v of all windows, (N, 2)."""
         nodes, angle = self._way_in(theta, record)
         out = np.empty((len(windows.rows), 2))
-        k, ratio = self._kernel(theta), self._ratio(theta)
+        k = self._kernel(theta)
         if self._extra is not None:
             k = rolling.with_force(k, *self._extra.over(self._effective_mass(theta), record))
-
-        def kernel(first: IntArray, last: IntArray, begun: FloatArray, rows: FloatArray) -> None:
-            rolling.simulate(record.t, nodes, angle, ratio, first, last, begun, k, rows)
-
-        at_once(kernel, windows, states, out)
+        rolling.simulate(
+            record.t, nodes, angle, self._ratio(theta), windows.first, windows.last, states, k, out
+        )
         return out
 
     def _way_in(self, theta: FloatArray, record: Record) -> input_path.Nodes:

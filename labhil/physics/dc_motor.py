@@ -14,7 +14,6 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from labhil.physics import winding
-from labhil.physics.at_once import at_once
 from labhil.physics.dc_motor_terms import REFERENCE, Sizes, catalogue, own_parameters
 from labhil.physics.driven import DrivenPath
 from labhil.physics.extra_force import ExtraForce, MovedPart
@@ -23,7 +22,7 @@ from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.terms import Term, Yardstick
 from labhil.physics.values import Values, horizon_of, known_numbers, near
 from labhil.rig import RigFile
-from labhil.signals import FloatArray, IntArray
+from labhil.signals import FloatArray
 
 TIME_CONSTANTS = 3.0
 """Scored horizon in mechanical time constants."""
@@ -219,18 +218,16 @@ class DcMotorModel:
         if "angle" in record.auxiliary:
             begun[:, 2] = record.auxiliary["angle"][windows.first]
         out = np.empty((len(windows.rows), 3))
-        motor, law = self._motor(theta), self._values.friction_law(theta, self._inertia(theta))
+        law = self._values.friction_law(theta, self._inertia(theta))
         warm, change = self._warm(theta, record), self._viscous_change(theta, record)
-        extra = None if self._extra is None else self._extra.over(self._inertia(theta), record)
-
-        def kernel(first: IntArray, last: IntArray, begun: FloatArray, rows: FloatArray) -> None:
-            given = (record.t, node_t, voltage, first, last, begun, motor, law, warm, change)
-            if extra is None:
-                winding.simulate(*given, rows)
-            else:
-                winding.simulate_pushed(*given, *extra, rows)
-
-        at_once(kernel, windows, begun, out)
+        given = (
+            record.t, node_t, voltage, windows.first, windows.last, begun, self._motor(theta), law,
+            warm, change,
+        )  # fmt: skip
+        if self._extra is None:
+            winding.simulate(*given, out)
+        else:
+            winding.simulate_pushed(*given, *self._extra.over(self._inertia(theta), record), out)
         return out
 
     def _warm(self, theta: FloatArray, record: Record) -> FloatArray:

@@ -20,7 +20,6 @@ import numpy as np
 
 from labhil.errors import RigFileError
 from labhil.physics import input_path, sliding
-from labhil.physics.at_once import at_once
 from labhil.physics.driven import DrivenPath
 from labhil.physics.extra_force import ExtraForce, MovedPart
 from labhil.physics.friction_terms import friction_terms, load_dependent_friction
@@ -30,7 +29,7 @@ from labhil.physics.path_terms import input_terms, offset_term, output_terms
 from labhil.physics.terms import Enters, Parameter, Term, Yardstick
 from labhil.physics.values import Values, horizon_of, known_numbers, near
 from labhil.rig import RigFile
-from labhil.signals import FloatArray, IntArray
+from labhil.signals import FloatArray
 
 STROKE = 5e-3
 FORCE_MAP = {(1, 0): 8.0, (1, 1): 2.0, (1, 2): -3.0, (2, 0): 12.0, (2, 1): 1.5, (3, 0): -2.0}
@@ -315,16 +314,12 @@ class SolenoidModel:
         nodes, current = self._field(theta, record)
         mass = self._values.of(theta, "moving_mass")
         out = np.empty((len(windows.rows), 3))
-        table, part, law = self.map / mass, self._part(theta), self._values.friction_law(theta, mass)
-        steady = np.ones(len(record))
-        extra = None if self._extra is None else self._extra.over(mass, record)
-
-        def kernel(first: IntArray, last: IntArray, begun: FloatArray, rows: FloatArray) -> None:
-            given = (record.t, nodes, current, first, last, begun, table, part, law, steady)
-            if extra is None:
-                sliding.simulate(*given, rows)
-            else:
-                sliding.simulate_pushed(*given, *extra, rows)
-
-        at_once(kernel, windows, states, out)
+        given = (
+            record.t, nodes, current, windows.first, windows.last, states, self.map / mass,
+            self._part(theta), self._values.friction_law(theta, mass), np.ones(len(record)),
+        )  # fmt: skip
+        if self._extra is None:
+            sliding.simulate(*given, out)
+        else:
+            sliding.simulate_pushed(*given, *self._extra.over(mass, record), out)
         return out[:, :2]
