@@ -18,6 +18,7 @@ from labhil.diagnose.judge import NEEDED_BIC, Data
 from labhil.diagnose.refit import refit, without
 from labhil.diagnose.rest import UNEXPLAINED, left_by, stands_in, unexplained
 from labhil.diagnose.unmodelled import Unmodelled, unmodelled
+from labhil.diagnose.weigh import supported_only
 from labhil.identify.fitted import Fitted
 from labhil.identify.kept_curve import under
 from labhil.identify.table import table_of
@@ -160,7 +161,7 @@ def _instead(data: Data, found: Found, part: MovedPart, excess: float) -> tuple[
     replaced = curve is not None or not stands_in(found.baseline, found.final)
     forces = _forces(data.model, found)
     if not replaced and forces and unexplained(data, left_by(data, found.final)):
-        return _less(data, found, forces), None
+        return _still_supported(data, _less(data, found, forces)), None
     return found, curve
 
 
@@ -219,6 +220,17 @@ def _less(data: Data, found: Found, steps: Sequence[Step]) -> Found:
     there = {step.terms[0] for step in kept}
     rivals = tuple(rival for rival in found.rivals if rival.instead_of in there)
     return replace(found, final=final, missing=kept, rivals=rivals)
+
+
+def _still_supported(data: Data, found: Found) -> Found:
+    """What is still supported where forces went: a sensor's offset may show by a spring only."""
+    if not found.missing:
+        return found
+    base = refit(data, found.baseline, found.baseline.terms, ())
+    final, kept = supported_only(data, base, found.final, found.looks)
+    there = {step.terms[0] for step in kept}
+    rivals = tuple(rival for rival in found.rivals if rival.instead_of in there)
+    return replace(found, final=final, missing=kept, rivals=rivals) if kept else found.nothing
 
 
 def _curve(data: Data, final: Fitted, curves: Sequence[Unmodelled], part: MovedPart) -> Unmodelled | None:

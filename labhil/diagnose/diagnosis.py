@@ -23,7 +23,7 @@ from labhil.diagnose.load import with_load
 from labhil.diagnose.rest import left_by, unexplained
 from labhil.diagnose.search import onward, search
 from labhil.diagnose.unmodelled import Unmodelled
-from labhil.diagnose.wider import goes_elsewhere, searched_and_kept
+from labhil.diagnose.wider import adds_beyond_doubt, goes_elsewhere, searched_and_kept
 from labhil.identify.fitted import Fitted, climb, start_theta
 from labhil.identify.noise import lasting_noise
 from labhil.identify.score import Score, score, with_forces
@@ -158,20 +158,11 @@ def _looked_wider(
     again = look(wider, base)
     left_then = left_by(wider, again.final)
     if again.missing:
-        more = goes_elsewhere(data) and _more_of_the_same(found, again)
+        more = goes_elsewhere(data) and adds_beyond_doubt(found.missing, again.missing)
         firm = more or not unexplained(wider, left_then)
     else:
         firm = bool(np.max(left_then) < np.max(left)) and not _still_needed(wider, found, again)
     return (wider, again, left_then) if firm else (data, found, left)
-
-
-def _more_of_the_same(found: Found, again: Found) -> bool:
-    """Whether a wider search names all that was named first, and more.
-
-    No model of a real rig explains all: what more data add to it, as well supported, is no worse for that.
-    """
-    first, then = ({step.terms[0] for step in each.missing} for each in (found, again))
-    return bool(first) and first < then
 
 
 def _still_needed(wider: Data, found: Found, again: Found) -> bool:

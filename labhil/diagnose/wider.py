@@ -6,10 +6,13 @@ other parts of that other one then are what the search never sees.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 
+from labhil.diagnose.conclude import BEYOND_DOUBT
+from labhil.diagnose.found import Step
 from labhil.diagnose.judge import Data
 from labhil.identify.windows import told_apart
 from labhil.physics.model import Record, joined
@@ -49,3 +52,15 @@ def goes_elsewhere(data: Data) -> bool:
     low, high = data.search.outputs.min(axis=0), data.search.outputs.max(axis=0)
     beyond = (data.test.outputs < low - data.sigma) | (data.test.outputs > high + data.sigma)
     return bool(np.any(beyond.mean(axis=0) > ELSEWHERE))
+
+
+def adds_beyond_doubt(first: Sequence[Step], then: Sequence[Step]) -> bool:
+    """Whether a wider search names all that was named ``first``, and more, each of these beyond doubt.
+
+    No model of a real rig explains all: what more data add to it is no worse for that. But what is left is
+    no noise then, and passes for evidence more easily.
+    """
+    named = {step.terms[0] for step in first}
+    added = [step for step in then if step.terms[0] not in named]
+    kept = named <= {step.terms[0] for step in then}
+    return bool(named and added) and kept and all(s.evidence.delta_bic < BEYOND_DOUBT for s in added)

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from labhil.diagnose.diagnosis import data_of
-from labhil.diagnose.wider import goes_elsewhere
+from labhil.diagnose.evidence import Evidence
+from labhil.diagnose.found import Step
+from labhil.diagnose.wider import adds_beyond_doubt, goes_elsewhere
 from labhil.physics.model import Record
 from labhil.physics.rigs import model_for
 from labhil.rig import default_rig
@@ -36,3 +38,23 @@ def test_a_reading_or_two_beyond_are_not_elsewhere():
     further[500:550] += 3.0
     model = model_for(default_rig("dc_motor"), turning(swing, 1))
     assert not goes_elsewhere(data_of(model, turning(5.0 * swing, 1), turning(further, 2)))
+
+
+def steps(**delta_bics):
+    return [Step((term,), Evidence(delta, 1e-4, 9.0), 1e-6, True) for term, delta in delta_bics.items()]
+
+
+@pytest.mark.parametrize(
+    ("first", "then", "added"),
+    [
+        (steps(time_delay=-34.0), steps(time_delay=-60.0, spring_force=-353.0), True),
+        (steps(time_delay=-34.0), steps(time_delay=-60.0, spring_force=-31.0), False),
+        (steps(time_delay=-34.0), steps(time_delay=-60.0, spring_force=-353.0, sensor_offset=-20.0), False),
+        (steps(time_delay=-34.0), steps(spring_force=-353.0), False),
+        (steps(time_delay=-34.0), steps(time_delay=-60.0), False),
+        ([], steps(spring_force=-353.0), False),
+    ],
+)
+def test_more_data_add_to_an_answer_what_is_beyond_doubt_only(first, then, added):
+    """Where more than noise is left, evidence that is merely strong may be of what is left."""
+    assert adds_beyond_doubt(first, then) == added
