@@ -213,13 +213,12 @@ def _forces(model: Model, found: Found) -> list[Step]:
 def _less(data: Data, found: Found, steps: Sequence[Step]) -> Found:
     """What was found without some of its steps."""
     kept = tuple(step for step in found.missing if step not in steps)
+    if not kept:
+        return found.nothing
     terms = found.final.terms
     for step in steps:
         terms = without(data.model, terms, step.terms[0])
-    final = refit(data, found.final, terms, ()) if kept else found.baseline
-    there = {step.terms[0] for step in kept}
-    rivals = tuple(rival for rival in found.rivals if rival.instead_of in there)
-    return replace(found, final=final, missing=kept, rivals=rivals)
+    return found.ending(refit(data, found.final, terms, ()), kept)
 
 
 def _still_supported(data: Data, found: Found) -> Found:
@@ -227,10 +226,7 @@ def _still_supported(data: Data, found: Found) -> Found:
     if not found.missing:
         return found
     base = refit(data, found.baseline, found.baseline.terms, ())
-    final, kept = supported_only(data, base, found.final, found.looks)
-    there = {step.terms[0] for step in kept}
-    rivals = tuple(rival for rival in found.rivals if rival.instead_of in there)
-    return replace(found, final=final, missing=kept, rivals=rivals) if kept else found.nothing
+    return found.ending(*supported_only(data, base, found.final, found.looks))
 
 
 def _curve(data: Data, final: Fitted, curves: Sequence[Unmodelled], part: MovedPart) -> Unmodelled | None:

@@ -54,6 +54,12 @@ class Found:
         """The same search if nothing of what it found is told."""
         return replace(self, final=self.baseline, missing=(), rivals=())
 
+    def ending(self, final: Fitted, steps: tuple[Step, ...]) -> Found:
+        """The same search if it ends at ``final`` with these of its steps, and their rivals."""
+        there = {step.terms[0] for step in steps}
+        rivals = tuple(rival for rival in self.rivals if rival.instead_of in there)
+        return replace(self, final=final, missing=steps, rivals=rivals) if steps else self.nothing
+
     def step(self, term: str) -> Step:
         """The step that added a term; StopIteration where it was none that counts."""
         return next(step for step in self.missing if step.terms[0] == term)
