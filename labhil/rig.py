@@ -97,16 +97,30 @@ class Metric(_Section):
 
 
 class Table(_Section):
-    """``[table]``: how to read a file that is not already in our names and units."""
+    """``[table]``: how to read a file that is not already in our names and units.
+
+    ``thousands`` is the mark that groups digits; ``part`` (from 1) the stretch to take of a table whose clock
+    begins anew; ``blanks = "fill"`` also fills empty cells of a slower output; ``bad_rows`` drops or refuses
+    what cannot be read: without it a few rows are dropped, and many refused.
+    """
 
     header: bool | None = None
     delimiter: Literal["comma", "tab", "whitespace", "semicolon"] | None = None
     rate: Annotated[float, Field(gt=0)] | None = None
     decimal: Literal[".", ","] = "."
+    thousands: Literal[".", ",", "'", " "] | None = None
     skip_rows: Annotated[int, Field(ge=0)] = 0
     comment: str | None = None
     sheet: str | None = None
-    bad_rows: Literal["drop", "fail"] = "drop"
+    part: Annotated[int, Field(ge=1)] | None = None
+    blanks: Literal["fill"] | None = None
+    bad_rows: Literal["drop", "fail"] | None = None
+
+    @model_validator(mode="after")
+    def _marks_differ(self) -> Table:
+        if self.thousands == self.decimal:
+            raise ValueError(f"decimal and thousands are both {self.decimal!r}; they must differ")
+        return self
 
 
 Column = Annotated[int, Field(ge=0)] | str
