@@ -123,7 +123,7 @@ def _blame(sheet: Sheet, taken: Taken, row: int) -> str:
 def _no_number(sheet: Sheet, taken: Taken, one: Mapped, column: int, row: int) -> str:
     """That a number is missing where it should be, what stands there, and what would make a number of it."""
     found, name = sheet.columns.text(column, row), one.signal.name
-    hint = _hint(sheet, taken, name, found.strip("'"))
+    hint = _hint(sheet, taken, name, found.strip("'\""))
     return (
         f"{sheet.place(row)}: column {sheet.column(column)} ({name}): expected a finite number, "
         f"found {found}{hint}"
