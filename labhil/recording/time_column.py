@@ -202,11 +202,11 @@ def _unrepeated(
     what = "copies of the same row" if copies else "no even number to spread"
     span = float(times[-1] - times[0])
     likely = (len(rows) - int(found.sizes[-1])) / span if span > 0 else 0.0
-    ways = f"[table] rate = {likely:.4g} puts the rows at that rate (Hz), " if likely else ""
+    example = f" = {likely:.4g}" if likely else ""
     raise TableError(
         f"{sheet.path}: expected a time for each row, found a time that repeats in {clock.called(sheet)}, "
-        f"the first in {line}: {found.text}, {what}. In {sheet.rig.path}, {ways}or [table] bad_rows = "
-        '"drop" keeps the first row of each stamp'
+        f"the first in {line}: {found.text}, {what}. In {sheet.rig.path}, [table] rate{example} (Hz) puts "
+        'the rows at that rate, or [table] bad_rows = "drop" keeps the first row of each stamp'
     )
 
 

@@ -58,7 +58,15 @@ class Notation:
                 return np.array(list(map(float, quick)), dtype=np.float64)
             except ValueError:
                 pass
-        return np.array([self.number(text) for text in texts], dtype=np.float64)
+        number = self._with_point if self == Notation() else self.number
+        return np.array([number(text) for text in texts], dtype=np.float64)
+
+    def _with_point(self, text: str) -> float:
+        """As :meth:`number`, faster where most texts are numbers of the usual kind."""
+        try:
+            return float(text) if "_" not in text else math.nan
+        except ValueError:
+            return self.number(text)
 
     def _value(self, plain: str) -> float:
         found = self._pattern.fullmatch(plain)
@@ -101,4 +109,6 @@ def other_notations(text: str, notation: Notation) -> list[tuple[Notation, str]]
 
 
 def _plain(text: str) -> str:
+    if text.isascii():
+        return text.strip()
     return text.translate(MINUS).translate(BLANKS).translate(APOSTROPHES).strip()
