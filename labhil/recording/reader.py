@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from labhil.codec import Codec, stream_from_json
-from labhil.errors import ProtocolError, RecordingError, RigFileError, suggestion
+from labhil.errors import ProtocolError, RecordingError, suggestion
 from labhil.recording.chunks import Contents, Messages, is_mcap, scan
 from labhil.recording.clock import ClockFit, fit_clock, keeps_its_rate
 from labhil.recording.device_clocks import (
@@ -21,10 +21,9 @@ from labhil.recording.device_clocks import (
     clocks_from_metadata,
     offsets_between,
 )
-from labhil.rig import RigFile, parse_rig
+from labhil.recording.rig_attachments import attached_rig
+from labhil.rig import RigFile
 from labhil.signals import Batch, FloatArray, IntArray, Stream
-
-RIG_ATTACHMENT = "rig.toml"
 
 
 @dataclass(frozen=True)
@@ -119,9 +118,8 @@ class Recording:
                 f"found: {', '.join(devices) or 'no device at all'}"
             )
         streams = tuple(data for data in self.streams if data.device == name)
-        own = self.attachments.get(f"rig.{name}.toml")
-        rig = self.rig if own is None else _parsed_rig(self.path, own)
-        return replace(self, streams=streams, rig=rig)
+        own = attached_rig(self.path, self.attachments, name)
+        return replace(self, streams=streams, rig=self.rig if own is None else own)
 
     def stream_with(self, *names: str) -> StreamData:
         """Return the stream that has all these signals; RecordingError says what is there otherwise."""
@@ -185,7 +183,7 @@ def read_recording(path: Path) -> Recording:
         path=path,
         sha256=hashlib.sha256(data).hexdigest(),
         streams=_timed(streams, origin_ns),
-        rig=_rig(path, contents),
+        rig=attached_rig(path, contents.attachments),
         attachments=contents.attachments,
         metadata=contents.metadata,
         events=_events(contents, origin_ns, {data.device: data.speed for data in streams}),
@@ -285,18 +283,6 @@ def _timed(streams: list[StreamData], origin_ns: int) -> tuple[StreamData, ...]:
     pairs = list(zip(streams, clocks, strict=True))
     start = min((float(clock.t[0]) / data.speed for data, clock in pairs if len(data)), default=0.0)
     return tuple(replace(data, t=clock.t - start * data.speed, clock=clock) for data, clock in pairs)
-
-
-def _rig(path: Path, contents: Contents) -> RigFile | None:
-    text = contents.attachments.get(RIG_ATTACHMENT)
-    return None if text is None else _parsed_rig(path, text)
-
-
-def _parsed_rig(path: Path, text: bytes) -> RigFile:
-    try:
-        return parse_rig(text.decode("utf-8"), path.parent / RIG_ATTACHMENT)
-    except (UnicodeDecodeError, RigFileError) as error:
-        raise RecordingError(f"{path}: its attached rig file cannot be used: {error}") from error
 
 
 def _events(contents: Contents, origin_ns: int, speeds: Mapping[str, float]) -> tuple[Event, ...]:

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from labhil.errors import DiskFailedError, RecordingFailedError, TableError, suggestion
 from labhil.recording.columns import read_columns
 from labhil.recording.formats.columns import Columns
-from labhil.recording.reader import RIG_ATTACHMENT
+from labhil.recording.rig_attachments import rig_attachments
 from labhil.recording.timeline import longest_run
-from labhil.recording.writer import RecordingWriter
+from labhil.recording.writer import RecordingWriter, media_type
 from labhil.rig import Channel, Column, RigFile
 from labhil.signals import Batch, Direction, FloatArray, IntArray, Signal, Stream
 
@@ -157,7 +157,8 @@ def write_import(table: ImportedTable, out: Path) -> Path:
     }
     with RecordingWriter(out) as writer:
         try:
-            writer.attach(RIG_ATTACHMENT, "application/toml", table.rig.text.encode())
+            for name, content in rig_attachments(table.rig).items():
+                writer.attach(name, media_type(name), content)
             writer.metadata("import", told)
             channel = writer.add_stream(table.rig.rig.kind, table.stream, {"source": table.source.name})
             writer.write(channel, Batch(table.row, t_ns, t_ns, table.values))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -289,7 +290,7 @@ def common_rig(recordings: Sequence[Recording], rig_path: Path | None) -> RigFil
                 f"{rig.kind.name}"
             )
         for section in RIG_SECTIONS:
-            one, other = (dict(each.model_dump()[section]) for each in (first, rig))
+            one, other = (_stated(each, section) for each in (first, rig))
             for name in sorted(one.keys() | other.keys()):
                 if one.get(name) != other.get(name):
                     raise RecordingError(
@@ -297,6 +298,17 @@ def common_rig(recordings: Sequence[Recording], rig_path: Path | None) -> RigFil
                         f"that of {begin.path} {_said(one.get(name))}; give one for all with --rig"
                     )
     return first
+
+
+def _stated(rig: RigFile, section: str) -> dict[str, object]:
+    """What a section says; of a file that travels with the rig file what is in it, wherever it stood."""
+    stated: dict[str, object] = dict(rig.model_dump()[section])
+    if section == "known":
+        stated |= {
+            name: f"a file with SHA-256 {hashlib.sha256(content).hexdigest()}"
+            for name, content in rig.files.items()
+        }
+    return stated
 
 
 def _said(value: object) -> str:
