@@ -89,7 +89,8 @@ class _Sheet:
             return f"no header and {self.columns.width} columns, 0 to {self.columns.width - 1}"
         names = self.columns.names
         more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
-        return f"the columns {', '.join(names[:MOST_NAMES])}{more}"
+        left_out = f"; {self.columns.left_out}" if self.columns.left_out else ""
+        return f"the columns {', '.join(names[:MOST_NAMES])}{more}{left_out}"
 
     def line(self, row: int) -> str:
         """Where a row stands, for messages."""
@@ -241,7 +242,7 @@ def _channel_of(sheet: _Sheet, signal: Signal) -> Channel | None:
     if sheet.rig.channels:
         return sheet.rig.channels.get(signal.name)
     columns: list[Column] = list(signal.columns())
-    return Channel(columns=columns) if set(columns) & set(sheet.columns.names or ()) else None
+    return Channel(columns=columns) if any(map(sheet.columns.find, signal.columns())) else None
 
 
 def _missing(sheet: _Sheet, what: str, names: list[str]) -> str:
@@ -256,7 +257,7 @@ def _missing(sheet: _Sheet, what: str, names: list[str]) -> str:
 
 def _time_channel(sheet: _Sheet) -> _Mapped | None:
     """The column of the time, or None where the rows come at a rate."""
-    names = [name for name in TIME_COLUMNS if name in (sheet.columns.names or ())]
+    names = [name for name in TIME_COLUMNS if sheet.columns.find(name)]
     channel = sheet.rig.channels.get("t") or (Channel(column=names[0]) if names else None)
     if channel is not None:
         return _mapped(sheet, Signal("t", "s", Direction.STATUS), channel)
@@ -290,7 +291,8 @@ def _place(sheet: _Sheet, name: str, source: Column) -> int:
     if len(found) == 1:
         return found[0]
     if found:
-        raise TableError(f"{sheet.path}: {name}: expected one column {source!r}, found several")
+        same = ", ".join(names[place] for place in found)
+        raise TableError(f"{sheet.path}: {name}: expected one column {source!r}, found several: {same}")
     near = suggestion(source, names)
     raise TableError(f"{sheet.path}: {name}: expected a column {source!r}{near}, found {sheet.available()}")
 
