@@ -138,18 +138,29 @@ class Recording:
             raise RecordingError(f"{self.path}: expected one stream with {wanted}, found several: {where}")
         here = [name for data in self.streams for name in data.stream.names()]
         near = "".join(suggestion(name, here) for name in names if name not in here)
-        what = "; ".join(
-            f"/{data.device}/{data.stream.name}: {', '.join(data.stream.names())}" for data in self.streams
-        )
-        raise RecordingError(
-            f"{self.path}: expected a stream with {wanted}{near}; found: {what or self.no_streams()}"
-        )
+        raise RecordingError(f"{self.path}: expected a stream with {wanted}{near}; found: {self.described()}")
 
     def no_streams(self) -> str:
-        """What is found where no stream of ours is, for messages."""
+        """What is found where no stream of ours is, and what was expected, for messages."""
+        expected = "a topic /<device>/<stream> as `labhil run` and `labhil import` write it"
         if not self.foreign:
-            return "no streams at all"
-        return f"no stream of labhil, but channels of another program: {', '.join(self.foreign)}"
+            return f"no streams at all; expected {expected}"
+        bag = any(name.endswith("(cdr)") for name in self.foreign)
+        hint = "; a ROS 2 bag becomes a recording with `labhil import`" if bag else ""
+        return (
+            f"no stream of labhil, but channels of another program: {', '.join(self.foreign)}; "
+            f"expected {expected}{hint}"
+        )
+
+    def described(self) -> str:
+        """Which streams there are with which signals, and which channels of other programs, for messages."""
+        if not self.streams:
+            return self.no_streams()
+        found = [
+            f"/{data.device}/{data.stream.name}: {', '.join(data.stream.names())}" for data in self.streams
+        ]
+        others = [f"of another program: {', '.join(self.foreign)}"] if self.foreign else []
+        return "; ".join(found + others)
 
     def losses(self) -> list[str]:
         """What is not there that should be, a line each: the end of the file, damaged parts, lost samples."""
