@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from labhil.commands.files import RunOption
 from labhil.console import refuse_unwritable, results_console, split_names, status, tell, write_json
 
 RecordingsArgument = Annotated[
@@ -81,6 +82,7 @@ def fit(
         typer.Option(metavar="FROM TO", help="Use only this stretch of every recording, s."),
     ] = None,
     device: DeviceOption = None,
+    run: RunOption = None,
     window: Annotated[
         float | None, typer.Option(help="Length of the fitted windows, s (default: several, compared).")
     ] = None,
@@ -114,7 +116,9 @@ def fit(
     refuse_unwritable(json_path, plot, html)
     method, small = interval_method(intervals), criterion_named(criterion)
     apart = split_names(per_recording) or ()
-    material = load_material(recordings, rig, test, holdout, apart, span=span, all_of_it=True, device=device)
+    material = load_material(
+        recordings, rig, test, holdout, apart, span=span, all_of_it=True, device=device, run=run
+    )
     tell(material.losses())
     with status() as say:
         options = Options(window, method, simultaneous, estimator_named(estimator), seed, say, small)
@@ -141,6 +145,7 @@ def diagnose(
     per_recording: PerRecordingOption = None,
     test: TestOption = None,
     device: DeviceOption = None,
+    run: RunOption = None,
     holdout: Annotated[float, typer.Option(help="Share held out at the end; not used with --test.")] = 0.3,
     plot: Annotated[Path | None, typer.Option(help="Draw it here (PNG).")] = None,
     html: Annotated[Path | None, typer.Option(help="Write a page about it here (HTML).")] = None,
@@ -159,7 +164,9 @@ def diagnose(
     from labhil.report.text import show_diagnosis
 
     refuse_unwritable(json_path, plot, html)
-    material = load_material(recordings, rig, test, holdout, split_names(per_recording) or (), device=device)
+    material = load_material(
+        recordings, rig, test, holdout, split_names(per_recording) or (), device=device, run=run
+    )
     tell(material.losses())
     with status() as say:
         result = diagnose_study(material, baseline=split_names(baseline), reference=model, progress=say)
@@ -186,6 +193,7 @@ def verify(
     model: Annotated[Path, typer.Option(help="The accepted model: a fit or a diagnosis (JSON).")],
     rig: Annotated[Path | None, typer.Option(help="Rig file; default: the recording's own.")] = None,
     device: DeviceOption = None,
+    run: RunOption = None,
     alpha: Annotated[
         float, typer.Option(help="Probability that a recording of the model itself is refused.")
     ] = 1e-3,
@@ -200,7 +208,7 @@ def verify(
 
     refuse_unwritable(json_path)
     with status() as say:
-        result = verify_study(recording, model, rig, alpha=alpha, device=device, progress=say)
+        result = verify_study(recording, model, rig, alpha=alpha, device=device, run=run, progress=say)
     tell(result.losses)
     show_verification(result.verification, results_console())
     if json_path is not None:
@@ -215,13 +223,14 @@ def report(
         typer.Argument(metavar="OUT.json|REC.mcap", help="The JSON of a fit or diagnosis, or a recording."),
     ],
     out: Annotated[Path, typer.Option("-o", "--out", help="The page to write (.html).")],
+    run: RunOption = None,
 ) -> None:
     """Make one HTML page of a result or of a recording: complete in itself, to be read, printed or sent."""
     from labhil.report.html.page import write_page
     from labhil.report.html.report import report_page
 
     refuse_unwritable(out)
-    write_page(report_page(result), out)
+    write_page(report_page(result, run), out)
     print(out)
 
 
@@ -232,6 +241,7 @@ def linear(
     models: Annotated[str | None, typer.Option(help="Which: a,b,… (default: all).")] = None,
     test: Annotated[Path | None, typer.Option(help="A separate recording to judge on.")] = None,
     holdout: Annotated[float, typer.Option(help="Share held out at the end; not used with --test.")] = 0.3,
+    run: RunOption = None,
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
 ) -> None:
     """Fit linear and black-box baselines, to see what physics is worth: ARX, OE, state space, NARX, …"""
@@ -239,7 +249,7 @@ def linear(
     from labhil.report.material import load_material
 
     refuse_unwritable(json_path)
-    material = load_material(recording, rig, test, holdout)
+    material = load_material(recording, rig, test, holdout, run=run)
     tell(material.losses())
     material.refuse_holes()
     with status() as say:

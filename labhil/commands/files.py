@@ -9,6 +9,11 @@ import typer
 
 from labhil.console import refuse_unwritable, tell, write_json
 
+RunOption = Annotated[
+    int | None,
+    typer.Option("--run", metavar="N", help="Which run, from 1, where a file holds several of one stream."),
+]
+
 
 def add_files(app: typer.Typer) -> None:
     """Register these commands."""
@@ -49,6 +54,7 @@ def export(
     stream: Annotated[
         str | None, typer.Option(metavar="/DEVICE/STREAM", help="Which stream (default: state).")
     ] = None,
+    run: RunOption = None,
 ) -> None:
     """Write the samples of a recording as a table: a column t (s), then the signals in SI units.
 
@@ -57,7 +63,7 @@ def export(
     from labhil.recording.export import export as write_table
     from labhil.recording.reader import read_recording
 
-    found = read_recording(recording).of_device(device)
+    found = read_recording(recording, run).of_device(device)
     tell(found.losses())
     print(write_table(found, out, stream))
 

@@ -21,6 +21,7 @@ from labhil.experiment.lab import Lab
 from labhil.experiment.plan import DevicePlan, device_plan
 from labhil.experiment.result import free_path
 from labhil.experiment.twins import start_twin
+from labhil.recording.rig_attachments import rig_attachments
 from labhil.service.hosts import HostProcess
 from labhil.service.recorder import Recorder
 
@@ -108,10 +109,9 @@ class LabService:
             return
         before = self._recorder
         path = free_path(self._folder, RecordSection().path, self._lab.lab.name)
-        attachments = {
-            "rig.toml" if index == 0 else f"rig.{plan.name}.toml": plan.rig.text.encode()
-            for index, plan in enumerate(self._plans)
-        }
+        attachments: dict[str, bytes] = {}
+        for index, plan in enumerate(self._plans):
+            attachments |= rig_attachments(plan.rig, plan.name if index else None)
         metadata = {"lab": {"name": self._lab.lab.name, "roll": repr(self._lab.lab.roll)}}
         self._recorder = Recorder(self._bus, path, attachments=attachments, metadata=metadata)
         self._began = time.monotonic()

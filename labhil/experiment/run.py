@@ -26,6 +26,7 @@ from labhil.experiment.plan import DevicePlan, Plan, make_plan
 from labhil.experiment.remote import offer_control
 from labhil.experiment.result import Progress, RunResult, answer_path, recording_path, result_of
 from labhil.experiment.twins import start_twin
+from labhil.recording.rig_attachments import rig_attachments
 from labhil.service.recorder import Recorder
 
 __all__ = [
@@ -190,8 +191,7 @@ class _Run:
     def _attachments(self) -> dict[str, bytes]:
         attachments = {"experiment.toml": self._plan.experiment.public_text().encode()}
         for index, device in enumerate(self._plan.devices):
-            name = "rig.toml" if index == 0 else f"rig.{device.name}.toml"
-            attachments[name] = device.rig.text.encode()
+            attachments |= rig_attachments(device.rig, device.name if index else None)
         return attachments
 
     def _metadata(self) -> dict[str, dict[str, str]]:

@@ -142,7 +142,7 @@ def record_of(recording: Recording, kind: RigKind) -> Record:
         inputs += [signal for signal in kind.optional if signal.name in names]
         others = [signal for signal in kind.auxiliary if signal.name in names]
         return _record(stream, inputs, outputs, others)
-    raise RecordingError(f"{recording.path}: {_needed(kind)}; found {_found(recording)}")
+    raise RecordingError(f"{recording.path}: {_needed(kind)}; found {recording.described()}")
 
 
 def _devices_of(recording: Recording, kind: RigKind) -> list[str]:
@@ -186,8 +186,3 @@ def _needed(kind: RigKind) -> str:
     inputs = " or ".join(" with ".join(names) for names in kind.driven_by)
     outputs = (" or " if kind.any_output else " and ").join(signal.name for signal in kind.outputs)
     return f"a {kind.name} needs {outputs} and {inputs} in one stream"
-
-
-def _found(recording: Recording) -> str:
-    streams = [f"{s.device}/{s.stream.name}: {', '.join(s.stream.names())}" for s in recording.streams]
-    return "; ".join(streams) or recording.no_streams()

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 
@@ -28,7 +27,7 @@ from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.path_terms import input_terms, offset_term, output_terms
 from labhil.physics.terms import Enters, Parameter, Term, Yardstick
 from labhil.physics.values import Values, horizon_of, known_numbers, near
-from labhil.rig import RigFile
+from labhil.rig import KnownFile, RigFile
 from labhil.signals import FloatArray
 
 STROKE = 5e-3
@@ -56,29 +55,35 @@ def default_map() -> FloatArray:
     return table
 
 
-def fitted_map(path: Path) -> FloatArray:
+def fitted_map(table: KnownFile) -> FloatArray:
     """Third-order polynomial through a table of coil_current, plunger_position, magnetic_force (CSV).
 
     Without current there is no force. RigFileError when the table cannot be read, or holds fewer points
     than the polynomial has coefficients.
     """
+    lines = table.text().splitlines()
     try:
-        header = path.read_text(encoding="utf-8").splitlines()[0].split(",")
+        header = lines[0].split(",")
         places = [[name.strip() for name in header].index(name) for name in COLUMNS]
-        i, x, force = np.loadtxt(path, delimiter=",", skiprows=1, usecols=places, ndmin=2).T
-    except (OSError, ValueError, IndexError) as error:
+        i, x, force = np.loadtxt(lines, delimiter=",", skiprows=1, usecols=places, ndmin=2).T
+    except (ValueError, IndexError) as error:
         wanted = ", ".join(COLUMNS)
-        raise RigFileError(f"{path}: expected a table with the columns {wanted}: {error}") from error
+        raise RigFileError(f"{table.source}: expected a table with the columns {wanted}: {error}") from error
     powers = [(a, b) for a in range(1, 4) for b in range(4 - a)]
     if len(force) < len(powers) or not np.all(np.isfinite([i, x, force])):
-        raise RigFileError(f"{path}: expected {len(powers)} finite rows or more, found {len(force)}")
+        raise RigFileError(f"{table.source}: expected {len(powers)} finite rows or more, found {len(force)}")
     span = float(np.abs(x).max()) or 1.0
     design = np.column_stack([i**a * (x / span) ** b for a, b in powers])
     factors, *_ = np.linalg.lstsq(design, force, rcond=None)
-    table = np.zeros((sliding.POWERS, sliding.POWERS))
+    coefficients = np.zeros((sliding.POWERS, sliding.POWERS))
     for (a, b), factor in zip(powers, factors, strict=True):
-        table[a, b] = factor / span**b
-    return table
+        coefficients[a, b] = factor / span**b
+    return coefficients
+
+
+def periods_of(stiffness: float, mass: float) -> float:
+    """How long PERIODS swings of a mass on a spring take, s; 0 without a spring, on which nothing swings."""
+    return PERIODS * 2.0 * float(np.pi * np.sqrt(mass / stiffness)) if stiffness > 0.0 else 0.0
 
 
 def catalogue(level: float, speed: float) -> dict[str, Term]:
@@ -177,8 +182,8 @@ class SolenoidModel:
         self.low = known.pop("stop_low", min(0.0, float(np.quantile(x, 0.001))))
         self.high = known.pop("stop_high", max(STROKE, float(x.max())))
         self.fixed = known
-        path = rig.known_path("force_map")
-        self.map = default_map() if path is None else fitted_map(path)
+        table = rig.known_file("force_map")
+        self.map = default_map() if table is None else fitted_map(table)
         self.force = sliding.drive(self._strongest(record), 0.5 * (self.low + self.high), self.map)
         self.speed = self._speed(record)
         self.terms: Mapping[str, Term] = catalogue(0.05 * abs(self.force), self.speed)
@@ -191,8 +196,7 @@ class SolenoidModel:
         self.state_scale = np.array([0.02 * (self.high - self.low), 0.2 * self.speed])
         self._values = Values(self.fixed, self.parameters)
         self._stated = rig.metric.horizon
-        natural = np.sqrt(self.fixed.get("spring_stiffness", TYPICAL_STIFFNESS) / TYPICAL_MASS)
-        typical = max(PERIODS * 2.0 * np.pi / float(natural), 0.1)
+        typical = max(periods_of(self.fixed.get("spring_stiffness", TYPICAL_STIFFNESS), TYPICAL_MASS), 0.1)
         self.horizon = horizon_of(self._stated, typical, record)
         self._path = DrivenPath()
 
@@ -221,13 +225,17 @@ class SolenoidModel:
         return max(abs(self.force) / (0.5 * (self.high - self.low)) * 0.25, 1.0)
 
     def horizon_at(self, theta: FloatArray) -> float:
-        """The larger of 3/(ζω) and 5 periods of mass and spring, s."""
+        """The larger of 3/(ζω) and 5 periods of mass and spring, s.
+
+        ζω = c/2m holds without a spring too, where nothing swings; with neither spring nor damping the
+        typical horizon stands.
+        """
         if self._stated:
             return self._stated
         mass, k = self._values.of(theta, "moving_mass"), self._values.of(theta, "spring_stiffness")
         damping = 0.5 * self._values.of(theta, "viscous_friction.coefficient") / mass
-        periods = PERIODS * 2.0 * np.pi / np.sqrt(k / mass)
-        return near(max(periods, DAMPING_TIMES / damping if damping > 0.0 else 0.0), self.horizon)
+        longest = max(periods_of(k, mass), DAMPING_TIMES / damping if damping > 0.0 else 0.0)
+        return near(longest or self.horizon, self.horizon)
 
     def prepare(self, record: Record) -> Record:
         """The record itself."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 from labhil.errors import TableError
@@ -44,7 +45,7 @@ def read_columns(path: Path, data: bytes, table: Table, wanted: Sequence[str]) -
         return read_workbook(path, table, wanted)
     if data.startswith(b"SQLite format 3") or is_mcap(data):
         return _read_bag_file(path, data, wanted)
-    read_numbers = _numbers_reader(path, data)
+    read_numbers = _numbers_reader(path, data, wanted)
     if read_numbers is not None:
         return read_numbers(path)
     found = next((what for magic, what in NOT_READ.items() if data.startswith(magic)), "")
@@ -53,12 +54,12 @@ def read_columns(path: Path, data: bytes, table: Table, wanted: Sequence[str]) -
     return read_text(path, data, table, wanted)
 
 
-def _numbers_reader(path: Path, data: bytes) -> Callable[[Path], Columns] | None:
+def _numbers_reader(path: Path, data: bytes, wanted: Sequence[str]) -> Callable[[Path], Columns] | None:
     """What reads a file whose columns have names and numbers, so that [table] has nothing to say."""
     if data.startswith(b"MATLAB 5.0") or (path.suffix.lower() == ".mat" and b"\x00" in data[:20]):
-        return read_mat
+        return partial(read_mat, wanted=wanted)
     if data.startswith((b"MATLAB 7.3", b"\x89HDF")):
-        return read_hdf5
+        return partial(read_hdf5, wanted=wanted)
     return read_parquet if data.startswith(b"PAR1") else None
 
 
@@ -100,6 +101,11 @@ def _read_bag_file(path: Path, data: bytes, wanted: Sequence[str]) -> Columns:
     channels = scan(data).channels.values()
     if any("labhil.stream" in channel.metadata for channel in channels):
         raise TableError(f"{path}: expected a table, found an MCAP recording of ours, which needs no import")
-    topics = ", ".join(f"{channel.topic} ({channel.message_encoding})" for channel in channels)
+    topics = ", ".join(f"{one.topic} ({one.message_encoding or 'no encoding'})" for one in channels)
     found = f"of another program with {topics}" if topics else "without channels"
-    raise TableError(f"{path}: expected one of {READ}, found an MCAP file {found}")
+    cdr = any(one.message_encoding == "cdr" for one in channels)
+    hint = "; `ros2 bag convert` writes one whose profile is ros2" if cdr else ""
+    raise TableError(
+        f"{path}: expected one of {READ} (of MCAP files those with the profile ros2 and CDR messages), "
+        f"found an MCAP file {found}{hint}"
+    )

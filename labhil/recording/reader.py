@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from labhil.codec import Codec, stream_from_json
-from labhil.errors import ProtocolError, RecordingError, RigFileError, suggestion
+from labhil.errors import ProtocolError, RecordingError, suggestion
 from labhil.recording.chunks import Contents, Messages, is_mcap, scan
 from labhil.recording.clock import ClockFit, fit_clock, keeps_its_rate
 from labhil.recording.device_clocks import (
@@ -21,10 +21,10 @@ from labhil.recording.device_clocks import (
     clocks_from_metadata,
     offsets_between,
 )
-from labhil.rig import RigFile, parse_rig
+from labhil.recording.rig_attachments import attached_rig
+from labhil.recording.runs import MixedRunsError, Run, choose_run, runs_of
+from labhil.rig import RigFile
 from labhil.signals import Batch, FloatArray, IntArray, Stream
-
-RIG_ATTACHMENT = "rig.toml"
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,8 @@ class StreamData:
     ``seq``, ``t_acq_ns`` (host, Unix time) and ``t_hw_ns`` (the device's clock) are int64 of shape (n,);
     ``values`` has shape (n, stream.width), SI units; ``t`` (n,) is the time of analysis in seconds of the
     device's world: its clock mapped onto the host's, 0 at the recording's first sample. ``lost`` counts
-    the holes in ``seq``; ``speed`` is how many seconds of that world passed in a second of the host.
+    the holes in ``seq``; ``speed`` is how many seconds of that world passed in a second of the host. Exact
+    ``copies`` of samples were dropped, ``moved`` ones stood behind later ones in the file.
     """
 
     device: str
@@ -48,6 +49,8 @@ class StreamData:
     speed: float
     metadata: Mapping[str, str]
     clock: ClockFit
+    copies: int = 0
+    moved: int = 0
 
     def __len__(self) -> int:
         return len(self.seq)
@@ -91,7 +94,8 @@ class Recording:
 
     ``complete`` is False when the file has no end (its recorder was killed) or a part of it is damaged;
     ``damage`` then says what is missing. ``rig`` is the rig file that was attached, if one was. ``foreign``
-    names the channels of other programs, with their encoding; their samples are not read.
+    names the channels of other programs, with their encoding; their samples are not read. Where the file
+    holds several ``runs`` of one stream, this is one of them.
     """
 
     path: Path
@@ -104,6 +108,7 @@ class Recording:
     complete: bool
     damage: str = ""
     foreign: tuple[str, ...] = ()
+    runs: int = 1
 
     def of_device(self, name: str | None) -> Recording:
         """Return what this recording holds of one device, with that device's rig file; all of it for None.
@@ -119,9 +124,8 @@ class Recording:
                 f"found: {', '.join(devices) or 'no device at all'}"
             )
         streams = tuple(data for data in self.streams if data.device == name)
-        own = self.attachments.get(f"rig.{name}.toml")
-        rig = self.rig if own is None else _parsed_rig(self.path, own)
-        return replace(self, streams=streams, rig=rig)
+        own = attached_rig(self.path, self.attachments, name)
+        return replace(self, streams=streams, rig=self.rig if own is None else own)
 
     def stream_with(self, *names: str) -> StreamData:
         """Return the stream that has all these signals; RecordingError says what is there otherwise."""
@@ -134,27 +138,42 @@ class Recording:
             raise RecordingError(f"{self.path}: expected one stream with {wanted}, found several: {where}")
         here = [name for data in self.streams for name in data.stream.names()]
         near = "".join(suggestion(name, here) for name in names if name not in here)
-        what = "; ".join(
-            f"/{data.device}/{data.stream.name}: {', '.join(data.stream.names())}" for data in self.streams
-        )
-        raise RecordingError(
-            f"{self.path}: expected a stream with {wanted}{near}; found: {what or self.no_streams()}"
-        )
+        raise RecordingError(f"{self.path}: expected a stream with {wanted}{near}; found: {self.described()}")
 
     def no_streams(self) -> str:
-        """What is found where no stream of ours is, for messages."""
+        """What is found where no stream of ours is, and what was expected, for messages."""
+        expected = "a topic /<device>/<stream> as `labhil run` and `labhil import` write it"
         if not self.foreign:
-            return "no streams at all"
-        return f"no stream of labhil, but channels of another program: {', '.join(self.foreign)}"
+            return f"no streams at all; expected {expected}"
+        bag = any(name.endswith("(cdr)") for name in self.foreign)
+        hint = "; a ROS 2 bag becomes a recording with `labhil import`" if bag else ""
+        return (
+            f"no stream of labhil, but channels of another program: {', '.join(self.foreign)}; "
+            f"expected {expected}{hint}"
+        )
+
+    def described(self) -> str:
+        """Which streams there are with which signals, and which channels of other programs, for messages."""
+        if not self.streams:
+            return self.no_streams()
+        found = [
+            f"/{data.device}/{data.stream.name}: {', '.join(data.stream.names())}" for data in self.streams
+        ]
+        others = [f"of another program: {', '.join(self.foreign)}"] if self.foreign else []
+        return "; ".join(found + others)
 
     def losses(self) -> list[str]:
         """What is not there that should be, a line each: the end of the file, damaged parts, lost samples."""
         lines = [f"{self.path}: read as far as it goes: {self.damage}"] if self.damage else []
-        return lines + [
-            f"{self.path}: {data.lost} samples of {data.device}/{data.stream.name} were lost"
-            for data in self.streams
-            if data.lost
-        ]
+        for data in self.streams:
+            name = f"{data.device}/{data.stream.name}"
+            counts = {
+                f"samples of {name} were lost": data.lost,
+                f"exact copies of samples of {name} were dropped": data.copies,
+                f"samples of {name} stood behind later ones, and were put in order": data.moved,
+            }
+            lines += [f"{self.path}: {count} {what}" for what, count in counts.items() if count]
+        return lines
 
     @property
     def clocks(self) -> Mapping[str, DeviceClock]:
@@ -172,26 +191,56 @@ class Recording:
         return max((float(data.t[-1]) for data in self.streams if len(data)), default=0.0)
 
 
-def read_recording(path: Path) -> Recording:
+def read_recordings(paths: Sequence[Path], run: int | None = None) -> list[Recording]:
+    """Read several recordings, of each the ``run`` as :func:`read_recording`; one run is taken as it is.
+
+    RecordingError when none of them holds that many.
+    """
+    found = [_read(path, run) for path in paths]
+    most = max((recording.runs for recording in found), default=1)
+    if run is not None and found and not 1 <= run <= most:
+        names = ", ".join(str(path) for path in paths)
+        many = "one run of each stream" if most == 1 else f"{most} runs of a stream"
+        raise RecordingError(f"--run {run}: expected a number from 1 to {most}, found {many} in {names}")
+    return found
+
+
+def read_recording(path: Path, run: int | None = None) -> Recording:
     """Read a recording; one without an end is read as far as it goes.
 
-    RecordingError when there is no such file, when it is no MCAP file, or when it is damaged beyond use.
+    Args:
+        path: The file.
+        run: Which one, from 1, of several runs of one stream in the file, as merged files have them.
+
+    Raises:
+        RecordingError: There is no such file, it is no MCAP file, or it is damaged beyond use; it holds
+            several runs and ``run`` chooses none of them.
     """
+    return read_recordings([path], run)[0]
+
+
+def _read(path: Path, run: int | None) -> Recording:
     data = _bytes_of(path)
     contents = scan(data)
-    streams = _streams(path, contents)
+    topics = _topics(path, contents)
+    streams, span = choose_run(path, topics, run)
     origin_ns = min((int(s.t_acq_ns[0]) for s in streams if len(s)), default=0)
     return Recording(
         path=path,
         sha256=hashlib.sha256(data).hexdigest(),
         streams=_timed(streams, origin_ns),
-        rig=_rig(path, contents),
+        rig=attached_rig(path, contents.attachments),
         attachments=contents.attachments,
         metadata=contents.metadata,
-        events=_events(contents, origin_ns, {data.device: data.speed for data in streams}),
+        events=tuple(
+            event
+            for event in _events(contents, origin_ns, {data.device: data.speed for data in streams})
+            if event.t_ns in span
+        ),
         complete=not contents.damage,
         damage=contents.damage,
         foreign=_foreign(contents),
+        runs=max((len(topic) for topic in topics), default=1),
     )
 
 
@@ -220,37 +269,52 @@ def _bytes_of(path: Path) -> bytes:
     return data
 
 
-def _streams(path: Path, contents: Contents) -> list[StreamData]:
-    """Decode all streams of ours; their times of analysis are not known yet."""
-    streams = []
+def _topics(path: Path, contents: Contents) -> list[list[StreamData]]:
+    """Decode the runs of each topic of ours, by time; their times of analysis are not known yet."""
+    channels: dict[tuple[str, Stream], list[tuple[Mapping[str, str], Batch]]] = {}
     for channel in contents.channels.values():
         if "labhil.stream" not in channel.metadata:
             continue
         try:
             stream = stream_from_json(channel.metadata["labhil.stream"])
             batch = _decode(Codec(stream), contents.messages[channel.id])
-            speed = _speed(channel.metadata)
+            _speed(channel.metadata)
         except (ProtocolError, ValueError) as error:
             raise RecordingError(f"{path}: {channel.topic}: {error}") from error
         device = channel.metadata.get("device", channel.topic.split("/")[1])
-        untimed = ClockFit(np.zeros(len(batch)), 0.0, 0.0, 0, device_clock=False)
-        told = {key: value for key, value in channel.metadata.items() if not key.startswith("labhil.")}
-        streams.append(
-            StreamData(
-                device=device,
-                stream=stream,
-                seq=batch.seq,
-                t_acq_ns=batch.t_acq_ns,
-                t_hw_ns=batch.t_hw_ns,
-                values=batch.values,
-                t=untimed.t,
-                lost=holes(batch.seq),
-                speed=speed,
-                metadata=told,
-                clock=untimed,
-            )
+        channels.setdefault((device, stream), []).append((channel.metadata, batch))
+    topics: dict[tuple[str, str], list[StreamData]] = {}
+    for (device, stream), found in channels.items():
+        filled = [one for one in found if len(one[1])] or found[:1]
+        try:
+            runs = runs_of([batch for _, batch in filled])
+        except MixedRunsError as error:
+            raise RecordingError(f"{path}: /{device}/{stream.name}: {error}") from error
+        told = filled[0][0]
+        topics.setdefault((device, stream.name), []).extend(
+            _untimed(device, stream, told, run) for run in runs
         )
-    return streams
+    return list(topics.values())
+
+
+def _untimed(device: str, stream: Stream, metadata: Mapping[str, str], run: Run) -> StreamData:
+    batch = run.batch
+    untimed = ClockFit(np.zeros(len(batch)), 0.0, 0.0, 0, device_clock=False)
+    return StreamData(
+        device=device,
+        stream=stream,
+        seq=batch.seq,
+        t_acq_ns=batch.t_acq_ns,
+        t_hw_ns=batch.t_hw_ns,
+        values=batch.values,
+        t=untimed.t,
+        lost=holes(batch.seq),
+        speed=_speed(metadata),
+        metadata={key: value for key, value in metadata.items() if not key.startswith("labhil.")},
+        clock=untimed,
+        copies=run.copies,
+        moved=run.moved,
+    )
 
 
 def _speed(metadata: Mapping[str, str]) -> float:
@@ -285,18 +349,6 @@ def _timed(streams: list[StreamData], origin_ns: int) -> tuple[StreamData, ...]:
     pairs = list(zip(streams, clocks, strict=True))
     start = min((float(clock.t[0]) / data.speed for data, clock in pairs if len(data)), default=0.0)
     return tuple(replace(data, t=clock.t - start * data.speed, clock=clock) for data, clock in pairs)
-
-
-def _rig(path: Path, contents: Contents) -> RigFile | None:
-    text = contents.attachments.get(RIG_ATTACHMENT)
-    return None if text is None else _parsed_rig(path, text)
-
-
-def _parsed_rig(path: Path, text: bytes) -> RigFile:
-    try:
-        return parse_rig(text.decode("utf-8"), path.parent / RIG_ATTACHMENT)
-    except (UnicodeDecodeError, RigFileError) as error:
-        raise RecordingError(f"{path}: its attached rig file cannot be used: {error}") from error
 
 
 def _events(contents: Contents, origin_ns: int, speeds: Mapping[str, float]) -> tuple[Event, ...]:

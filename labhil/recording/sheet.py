@@ -43,7 +43,8 @@ class Sheet:
             return f"no header and {self.columns.width} columns, 0 to {self.columns.width - 1}"
         names = self.columns.names
         more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
-        return f"the columns {', '.join(names[:MOST_NAMES])}{more}"
+        left_out = f"; {self.columns.left_out}" if self.columns.left_out else ""
+        return f"the columns {', '.join(names[:MOST_NAMES])}{more}{left_out}"
 
     def place(self, row: int) -> str:
         """Where a row stands in its file, for messages."""

@@ -14,12 +14,12 @@ from labhil.errors import DiskFailedError, RecordingFailedError, TableError, sug
 from labhil.recording.bad_rows import WHY, bad_rows, finite_rows
 from labhil.recording.columns import read_columns
 from labhil.recording.formats.time_text import TimeKind
-from labhil.recording.reader import RIG_ATTACHMENT
+from labhil.recording.rig_attachments import rig_attachments
 from labhil.recording.sheet import Mapped, Sheet
 from labhil.recording.slow_channels import fill_slow
 from labhil.recording.stated_units import check_units
 from labhil.recording.time_column import Clock, Ordered, best_clock, order_rows, read_clock, time_notes
-from labhil.recording.writer import RecordingWriter
+from labhil.recording.writer import RecordingWriter, media_type
 from labhil.rig import Channel, Column, RigFile
 from labhil.signals import Batch, Direction, FloatArray, IntArray, Signal, Stream
 
@@ -134,7 +134,8 @@ def write_import(table: ImportedTable, out: Path) -> Path:
     }
     with RecordingWriter(out) as writer:
         try:
-            writer.attach(RIG_ATTACHMENT, "application/toml", table.rig.text.encode())
+            for name, content in rig_attachments(table.rig).items():
+                writer.attach(name, media_type(name), content)
             writer.metadata("import", told)
             channel = writer.add_stream(table.rig.rig.kind, table.stream, {"source": table.source.name})
             writer.write(channel, Batch(table.row, t_ns, t_ns, table.values))
@@ -225,7 +226,7 @@ def _channel_of(sheet: Sheet, signal: Signal) -> Channel | None:
     if sheet.rig.channels:
         return sheet.rig.channels.get(signal.name)
     columns: list[Column] = list(signal.columns())
-    return Channel(columns=columns) if set(columns) & set(sheet.columns.names or ()) else None
+    return Channel(columns=columns) if any(map(sheet.columns.find, signal.columns())) else None
 
 
 def _missing(sheet: Sheet, what: str, names: list[str]) -> str:
@@ -243,7 +244,7 @@ def _clock(sheet: Sheet) -> Clock | None:
     time = Signal("t", "s", Direction.STATUS)
     if "t" in sheet.rig.channels:
         return read_clock(sheet, _mapped(sheet, time, sheet.rig.channels["t"]))
-    names = [name for name in TIME_COLUMNS if name in (sheet.columns.names or ())]
+    names = [name for name in TIME_COLUMNS if sheet.columns.find(name)]
     if names:
         return best_clock(sheet, [_mapped(sheet, time, Channel(column=name)) for name in names])
     if sheet.rig.table.rate is None:
@@ -291,7 +292,8 @@ def _place(sheet: Sheet, name: str, source: Column) -> int:
     if len(found) == 1:
         return found[0]
     if found:
-        raise TableError(f"{sheet.path}: {name}: expected one column {source!r}, found several")
+        same = ", ".join(names[place] for place in found)
+        raise TableError(f"{sheet.path}: {name}: expected one column {source!r}, found several: {same}")
     near = suggestion(source, names)
     raise TableError(f"{sheet.path}: {name}: expected a column {source!r}{near}, found {sheet.available()}")
 

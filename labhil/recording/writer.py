@@ -197,6 +197,17 @@ class RecordingWriter:
             raise RecordingFailedError(self.failure) from error
 
 
+def media_type(name: str) -> str:
+    """The media type of an attachment, by the extension of its name."""
+    types = {
+        ".toml": "application/toml",
+        ".json": "application/json",
+        ".csv": "text/csv",
+        ".txt": "text/plain",
+    }
+    return types.get(Path(name).suffix, "application/octet-stream")
+
+
 def _create(part: Path) -> BinaryIO:
     if part.exists():
         raise RecordingError(

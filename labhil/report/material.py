@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -16,7 +17,7 @@ from labhil.physics.arm import ArmModel
 from labhil.physics.model import Model, Record, joined
 from labhil.physics.rigs import model_for, record_of
 from labhil.physics.several import several
-from labhil.recording.reader import Recording, read_recording
+from labhil.recording.reader import Recording, read_recordings
 from labhil.report.results import Source
 from labhil.report.still import constant
 from labhil.rig import RigFile, load_rig
@@ -103,21 +104,23 @@ def load_material(
     span: tuple[float, float] | None = None,
     all_of_it: bool = False,
     device: str | None = None,
+    run: int | None = None,
 ) -> Material:
     """Read one recording or several, or of each the ``span`` from … to (s), and what is to be judged on.
 
     Without ``test_path`` the last ``holdout`` of each recording is held out, after a gap of one scored
     horizon; nothing is where ``holdout`` is 0 and ``all_of_it`` allows that. The rig file is the given one,
-    or the one that the recordings carry. Of recordings of several devices ``device`` chooses one. What
-    ``per_recording`` names has a value in each of several recordings. Raises UsageError (RecordingError,
-    RigFileError) with what is missing.
+    or the one that the recordings carry. Of recordings of several devices ``device`` chooses one, of several
+    runs in one file ``run``. What ``per_recording`` names has a value in each of several recordings. Raises
+    UsageError (RecordingError, RigFileError) with what is missing.
     """
     if not (0.05 <= holdout <= 0.9 or (all_of_it and holdout == 0.0)):
         nothing = ", or 0 to hold nothing out" if all_of_it else ""
         raise UsageError(f"--holdout: expected a share from 0.05 to 0.9{nothing}, found {holdout:g}")
     paths, test_paths = _paths(path), _paths(test_path)
     _refuse_counts(paths, test_paths, per_recording)
-    found = [read_recording(each).of_device(device) for each in paths]
+    everything = [each.of_device(device) for each in read_recordings((*paths, *test_paths), run)]
+    found, tested = everything[: len(paths)], everything[len(paths) :]
     _refuse_twice(found)
     rig = common_rig(found, rig_path)
     records, measured = _measured(found, rig, span)
@@ -132,7 +135,6 @@ def load_material(
             learn, judge = _held_out(model, measured, found, holdout)
             _refuse_horizon(rig, judge)
         return Material(rig, model, learn, judge, False, measured, learning)
-    tested = [read_recording(each).of_device(device) for each in test_paths]
     tests, test = _measured(tested, rig, like=measured, of=found[0])
     if len(tests) > 1 and len(records) == 1:
         model = several(model, (), 1)
@@ -289,7 +291,7 @@ def common_rig(recordings: Sequence[Recording], rig_path: Path | None) -> RigFil
                 f"{rig.kind.name}"
             )
         for section in RIG_SECTIONS:
-            one, other = (dict(each.model_dump()[section]) for each in (first, rig))
+            one, other = (_stated(each, section) for each in (first, rig))
             for name in sorted(one.keys() | other.keys()):
                 if one.get(name) != other.get(name):
                     raise RecordingError(
@@ -297,6 +299,17 @@ def common_rig(recordings: Sequence[Recording], rig_path: Path | None) -> RigFil
                         f"that of {begin.path} {_said(one.get(name))}; give one for all with --rig"
                     )
     return first
+
+
+def _stated(rig: RigFile, section: str) -> dict[str, object]:
+    """What a section says; of a file that travels with the rig file what is in it, wherever it stood."""
+    stated: dict[str, object] = dict(rig.model_dump()[section])
+    if section == "known":
+        stated |= {
+            name: f"a file with SHA-256 {hashlib.sha256(content).hexdigest()}"
+            for name, content in rig.files.items()
+        }
+    return stated
 
 
 def _said(value: object) -> str:

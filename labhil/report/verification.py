@@ -41,9 +41,10 @@ def verify_study(
     *,
     alpha: float = ALPHA,
     device: str | None = None,
+    run: int | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> VerificationResult:
-    """Hold a recording, or what it holds of one ``device``, against the model of a fit or diagnosis file.
+    """Hold a recording, or what it holds of one ``device`` or ``run``, against a result's model.
 
     Raises UsageError (RecordingError, RigFileError, ModelFileError) with what is wrong and where.
     """
@@ -51,7 +52,7 @@ def verify_study(
         raise UsageError(f"--alpha: expected a probability above 0 and below 0.5, found {alpha:g}")
     began = time.perf_counter()
     accepted = accepted_of(model_path)
-    recording = read_recording(path).of_device(device)
+    recording = read_recording(path, run).of_device(device)
     rig = rig_of(recording, rig_path)
     if accepted.rig not in (None, rig.kind.name):
         raise ModelFileError(

@@ -25,7 +25,7 @@ from labhil.bus.subscribe import subscribe
 from labhil.codec import stream_from_json
 from labhil.errors import BusError, CommandRefusedError, ProtocolError, RecordingFailedError
 from labhil.recording.device_clocks import ClockWatch, DeviceClock, clocks_to_metadata
-from labhil.recording.writer import RecordingWriter
+from labhil.recording.writer import RecordingWriter, media_type
 from labhil.service.recorded import RecordedStream, StreamSummary
 from labhil.signals import Direction
 
@@ -93,7 +93,7 @@ class Recorder:
         self._finished = False
         try:
             for name, data in (attachments or {}).items():
-                self._writer.attach(name, _media_type(name), data)
+                self._writer.attach(name, media_type(name), data)
             for name, table in (metadata or {}).items():
                 self._writer.metadata(name, table)
             self._writer.flush()
@@ -318,8 +318,3 @@ def _event(payload: bytes) -> tuple[int, dict[str, Any]]:
     except (ValueError, KeyError, TypeError):
         return time.time_ns(), {"text": payload.decode("utf-8", "replace")}
     return t_ns, body
-
-
-def _media_type(name: str) -> str:
-    types = {".toml": "application/toml", ".json": "application/json", ".txt": "text/plain"}
-    return types.get(Path(name).suffix, "application/octet-stream")

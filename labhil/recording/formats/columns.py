@@ -44,6 +44,11 @@ class Columns(ABC):
         """What a person should know of how the rows came to be, a line each."""
         return ()
 
+    @property
+    def left_out(self) -> str:
+        """What is in the file and is no column, with why, for messages; empty where that cannot be."""
+        return ""
+
     def find(self, source: str) -> tuple[int, ...]:
         """The numbers of the columns that bear this name: none, one or several."""
         return tuple(place for place, name in enumerate(self.names or ()) if name == source)
