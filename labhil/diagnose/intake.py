@@ -267,7 +267,8 @@ def _of_stamps(record: Record) -> list[Fault]:
 
 
 def _within(record: Record, times: Sequence[float]) -> bool:
-    return any(record.t[0] <= t <= record.t[-1] for t in times)
+    """Whether one of the steps, of which ``times`` are the first samples after them, has both sides here."""
+    return any(record.t[0] < t <= record.t[-1] for t in times)
 
 
 def _time_order(record: Record) -> list[Fault]:

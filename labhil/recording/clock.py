@@ -130,7 +130,7 @@ def _mapped(
     climb = np.concatenate([[0.0], np.cumsum([step.size for step in steps])])
     levels = line.level + climb - climb[longest]
     begins = x[[0, *(step.row for step in steps)]]
-    return line, ClockMap(zero_ns, origin_ns, speed, begins, levels, line.slope, line.middle)
+    return line, ClockMap(zero_ns, origin_ns, speed, begins, levels, line.slope, line.middle, float(x[-1]))
 
 
 def _jitter(residual: FloatArray) -> tuple[float, int]:

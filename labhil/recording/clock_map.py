@@ -90,7 +90,8 @@ class ClockMap:
 
     Between steps of the host's stamps the least delay lies on lines of one ``slope`` about ``middle``;
     ``begins`` (k,) are where these begin and ``levels`` (k,) how high they are, all in s of the host since
-    the device's first sample at ``zero_ns`` of its clock. Host times are s since ``origin_ns``.
+    the device's first sample at ``zero_ns`` of its clock, as is ``end``, where the last sample is. Host
+    times are s since ``origin_ns``.
     """
 
     zero_ns: int
@@ -100,6 +101,7 @@ class ClockMap:
     levels: FloatArray
     slope: float
     middle: float
+    end: float
 
     def elapsed(self, t_hw_ns: IntArray) -> FloatArray:
         """Return what passed on the device's clock since its first sample, s of the host, (n,)."""
@@ -117,11 +119,13 @@ class ClockMap:
     def device(self, host: float) -> float:
         """Return the ``x`` of a host's time; where a clock that was set back shows it twice, the later
         one."""
-        segment = max(int(np.searchsorted(self.host(self.begins), host, side="right")) - 1, 0)
-        x = (host - self.levels[segment] + self.slope * self.middle) / (1.0 + self.slope)
-        if segment + 1 < len(self.begins):
-            x = min(x, self.begins[segment + 1])  # a device that stood still
-        return float(x)
+        ends = np.append(self.begins[1:], self.end)
+        first, last = (x + self.levels + self.slope * (x - self.middle) for x in (self.begins, ends))
+        away = np.maximum(np.maximum(first - host, host - last), 0.0)
+        segment = int(np.flatnonzero(away == away.min())[-1])
+        x = float(host - self.levels[segment] + self.slope * self.middle) / (1.0 + self.slope)
+        # between the end of a stretch and the begin of the next the device stood still
+        return min(x, float(ends[segment])) if segment + 1 < len(ends) else x
 
 
 def delay_line(x: FloatArray, delay: FloatArray) -> DelayLine:
