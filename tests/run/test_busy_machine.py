@@ -1,4 +1,4 @@
-"""A busy machine invents no physics: a run beside processes that compute, and a fit of what the twin is made of."""
+"""A busy machine invents no physics: a run beside processes that compute, fitted with the true terms."""
 
 import sys
 from pathlib import Path
