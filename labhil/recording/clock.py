@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from labhil.recording.clock_map import ClockMap, ClockStep, DelayLine, delay_line, steps_in
+from labhil.recording.clock_map import CONGESTION, ClockMap, ClockStep, DelayLine, delay_line, steps_in
 from labhil.signals import FloatArray, IntArray
 
 OUTLIER = 4.0
@@ -103,7 +103,8 @@ def fit_clock(
     begin = float(clock_map.steady_host(np.zeros(1))[0])
     return ClockFit(
         t=np.asarray(device + speed * begin, dtype=np.float64),
-        drift=1.0 / (1.0 + line.slope) - 1.0,
+        # over a few seconds, a queue that fills or drains looks like such a rate
+        drift=0.0 if wrong and line.span < CONGESTION else 1.0 / (1.0 + line.slope) - 1.0,
         jitter=jitter * speed,
         outliers=outliers,
         device_clock=True,

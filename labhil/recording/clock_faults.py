@@ -10,7 +10,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from labhil.recording.clock import ClockFit
+from labhil.recording.clock import LARGEST_DRIFT, ClockFit
 from labhil.recording.clock_map import SMALLEST_STEP, steps_in
 from labhil.recording.stamps import Stamps
 from labhil.signals import FloatArray, IntArray
@@ -119,10 +119,21 @@ def _where(sizes: FloatArray, times: FloatArray) -> str:
 
 
 def _rate(fit: ClockFit, stamps: Stamps) -> list[ClockFault]:
-    error = fit.drift_error
-    if abs(fit.drift) <= CRYSTAL + SURE * (error or 0.0) or (error is None and fit.offset_error is not None):
+    error, slope = fit.drift_error, 0.0 if fit.map is None else fit.map.slope
+    if fit.drift == 0.0 and abs(slope) > LARGEST_DRIFT:
+        away = "falls behind" if slope > 0.0 else "runs ahead of"
+        return [
+            ClockFault(
+                ClockFaultKind.RATE, (), False,
+                f"the device's clock {away} the host's by {100 * abs(slope):.2g} %, for too short a time to "
+                "say why: samples were held up, or the device stood still (a simulated one where its machine is "
+                "busy). The time of analysis is the device's own; Unix times, times of events and the "
+                "alignment with other devices are off by that.",
+            )
+        ]  # fmt: skip
+    if abs(fit.drift) <= CRYSTAL + SURE * (error or 0.0):
         return []
-    if error is None and (fit.map is None or len(fit.t) < 3 or fit.t[-1] - fit.t[0] < stamps.speed):
+    if error is None and abs(slope) <= LARGEST_DRIFT:
         return []
     known = "" if error is None else f" ± {1e6 * error:.2g}"
     why = "the host's clock was slewed, or the device's has no crystal (a ceramic resonator: 5000 ppm)"

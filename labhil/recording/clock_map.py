@@ -16,7 +16,12 @@ from numpy.lib.stride_tricks import sliding_window_view
 from labhil.signals import FloatArray, IntArray
 
 BLOCKS = 64
+FEWEST_BLOCKS = 8
 FEWEST_PER_BLOCK = 4
+BLOCK = 0.25
+"""s of the host at least in a block: longer than a busy scheduler lets a process wait, so that some sample of
+most blocks is in time."""
+
 QUANTILE = 0.1
 """So large a share of the blocks' smallest delays lies below the line: a few that are too early do no
 harm."""
@@ -71,13 +76,17 @@ class ClockStep:
 
 @dataclass(frozen=True, slots=True)
 class DelayLine:
-    """The least delay is ``level + slope * (x - middle)``, s; errors are standard errors, None if unknown."""
+    """The least delay is ``level + slope * (x - middle)``, s; errors are standard errors, None if unknown.
+
+    ``span`` (s) is how long the stretch was that the line is of.
+    """
 
     middle: float
     level: float
     slope: float
     level_error: float | None
     slope_error: float | None
+    span: float
 
     def at(self, x: FloatArray) -> FloatArray:
         """The least delay at ``x`` (s of the device's clock), s."""
@@ -135,14 +144,15 @@ def delay_line(x: FloatArray, delay: FloatArray) -> DelayLine:
         x: The device's clock, s, increasing, shape (n,) with n ≥ 1.
         delay: The host's clock less the device's, s, shape (n,).
     """
-    middle = float(0.5 * (x[0] + x[-1]))
-    if len(x) < 3 or x[-1] - x[0] < SHORTEST_FIT:
-        return DelayLine(middle, float(delay.min()), 0.0, None, None)
-    bx, by = _block_minima(x - middle, delay, min(BLOCKS, max(3, len(x) // FEWEST_PER_BLOCK)))
+    middle, span = float(0.5 * (x[0] + x[-1])), float(x[-1] - x[0])
+    if len(x) < 3 or span < SHORTEST_FIT:
+        return DelayLine(middle, float(delay.min()), 0.0, None, None, span)
+    count = min(BLOCKS, max(FEWEST_BLOCKS, int(span / BLOCK)))
+    bx, by = _block_minima(x - middle, delay, min(count, max(3, len(x) // FEWEST_PER_BLOCK)))
     level, slope = _quantile_line(bx, by)
     if len(x) < FEWEST:
-        return DelayLine(middle, level, slope, None, None)
-    return DelayLine(middle, level, slope, *_errors(bx, by, level, slope))
+        return DelayLine(middle, level, slope, None, None, span)
+    return DelayLine(middle, level, slope, *_errors(bx, by, level, slope), span)
 
 
 def _block_minima(x: FloatArray, y: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
@@ -178,7 +188,7 @@ def _errors(x: FloatArray, y: FloatArray, level: float, slope: float) -> tuple[f
     # one-sided: of an exponential distribution, whose mean is its median over ln 2; of each stretch by
     # itself, for where half of them are busy the median of all says nothing of that half
     residual = np.abs(y - level - slope * x)
-    typical = float(np.sqrt(np.mean([np.median(residual[group]) ** 2 for group in groups])))
+    typical = float(np.quantile([np.median(residual[group]) for group in groups], 0.75))
     scatter = typical / np.log(2.0) / np.sqrt(len(x))
     reach = float(np.std(x))
     return (

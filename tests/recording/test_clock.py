@@ -202,6 +202,16 @@ def test_a_world_that_paused_keeps_its_own_time_and_is_named():
     assert "stand" in " ".join(fault.statement for fault in faults) or "stood" in faults[0].statement
 
 
+def test_what_a_short_recording_cannot_tell_is_named_without_a_rate():
+    """Five seconds in which a simulated world falls behind by little pauses, as on a machine that is busy."""
+    world = np.arange(500) / RATE
+    host = world + 0.03 * np.floor(world / 0.5)
+    t_hw_ns = np.rint(world * 1e9).astype(np.int64)
+    fit, (fault,) = found_in(t_hw_ns, START + (host * 1e9).astype(np.int64))
+    assert np.diff(fit.t) == pytest.approx(0.01) and fit.drift == 0.0 and fit.drift_error is None
+    assert "falls behind" in fault.statement and not fault.bends_time
+
+
 def test_a_resonator_is_named_and_its_time_is_kept():
     _, t_hw_ns, t_acq_ns = stamps(4e-3, 1e-4, 0.0, 5)
     fit, (fault,) = found_in(t_hw_ns, t_acq_ns)

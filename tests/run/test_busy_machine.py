@@ -33,7 +33,7 @@ plugin = "ball_beam"
 address = "twin"
 rig = "rig.toml"
 [devices.bench.twin]
-speed = 2.0
+speed = 1.0
 seed = 3
 terms = ["viscous_friction", "coulomb_friction"]
 set = { viscous_friction.coefficient = 0.26, coulomb_friction.level = 0.09 }
@@ -53,7 +53,7 @@ duration = 20.0
 def test_a_run_beside_busy_processes_is_fitted_with_what_the_twin_is_made_of(tmp_path: Path) -> None:
     (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
     burn = "import time\nend = time.monotonic() + 120\nwhile time.monotonic() < end: pass"
-    busy = [Popen([sys.executable, "-c", burn], stdout=DEVNULL) for _ in range(6)]
+    busy = [Popen([sys.executable, "-c", burn], stdout=DEVNULL) for _ in range(3)]
     try:
         result = run_experiment(parse_experiment(EXPERIMENT, tmp_path / "e.toml"), tmp_path)
     finally:
