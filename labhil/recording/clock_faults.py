@@ -126,8 +126,8 @@ def _rate(fit: ClockFit, stamps: Stamps) -> list[ClockFault]:
             ClockFault(
                 ClockFaultKind.RATE, (), False,
                 f"the device's clock {away} the host's by {100 * abs(slope):.2g} %, for too short a time to "
-                "say why: samples were held up, or the device stood still (a simulated one where its machine is "
-                "busy). The time of analysis is the device's own; Unix times, times of events and the "
+                "say why: samples were held up, or the device stood still (a simulated one where its machine "
+                "is busy). The time of analysis is the device's own; Unix times, times of events and the "
                 "alignment with other devices are off by that.",
             )
         ]  # fmt: skip
