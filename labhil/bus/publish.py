@@ -18,6 +18,7 @@ from labhil.bus.keys import event_key, schema_key, stream_key
 from labhil.bus.session import Bus
 from labhil.codec import Codec, stream_to_json
 from labhil.errors import BusError
+from labhil.host_clock import unix_ns
 from labhil.signals import Batch, Stream
 
 FIRST_LISTENER = 1.0
@@ -134,7 +135,7 @@ def publish_event(bus: Bus, device: str, event: str | Mapping[str, Any]) -> None
     session is closed.
     """
     body: dict[str, Any] = {"text": event} if isinstance(event, str) else dict(event)
-    body.setdefault("t_ns", time.time_ns())
+    body.setdefault("t_ns", unix_ns())
     key = event_key(device)
     try:
         bus.session.put(key, json.dumps(body), congestion_control=zenoh.CongestionControl.BLOCK)

@@ -171,6 +171,7 @@ def run(
         result = run_experiment(plan.experiment, out, bar)
     if result.error is not None:
         print(result.error, file=sys.stderr)
+    tell(result.warnings)
     if as_json:
         write_json(result.to_json())
     elif result.path is not None:

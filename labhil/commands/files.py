@@ -32,12 +32,16 @@ def import_(
     out: Annotated[Path, typer.Option("-o", "--out", help="The recording to write (.mcap).")],
 ) -> None:
     """Make a recording of a table that others wrote."""
+    from labhil.recording.reader import read_recording
     from labhil.recording.tables import describe_import, import_table, write_import
     from labhil.rig import load_rig
 
     table = import_table(data, load_rig(rig))
     tell(describe_import(table))
-    print(write_import(table, out))
+    path = write_import(table, out)
+    faults = (fault for data in read_recording(path).streams for fault in data.clock_faults)
+    tell(f"{data}: {fault.statement}" for fault in faults)
+    print(path)
 
 
 def export(

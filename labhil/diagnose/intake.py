@@ -41,6 +41,9 @@ class Kind(StrEnum):
     OUTLIER = "outlier"
     ZERO_STEP = "zero_step"
     CLOCK_DRIFT = "clock_drift"
+    CLOCK_STEP = "clock_step"
+    CLOCK_RATE = "clock_rate"
+    NO_DEVICE_CLOCK = "no_device_clock"
     NO_EXCITATION = "no_excitation"
 
 
@@ -53,6 +56,7 @@ TOLERATED = {
     Kind.OUTLIER: 0.02,
     Kind.ZERO_STEP: 0.0,
     Kind.CLOCK_DRIFT: 0.0,
+    Kind.CLOCK_STEP: 0.0,
 }
 """Shares up to which a fault is only reported; what is not listed never makes data unfit by itself."""
 
@@ -122,7 +126,7 @@ def faults(record: Record, sigma: FloatArray) -> tuple[Fault, ...]:
     """
     if len(record) < 2:
         return ()
-    found = [*_time_order(record), *_gaps(record)]
+    found = [*_of_stamps(record), *_time_order(record), *_gaps(record)]
     broken = _not_finite(record)
     if broken:
         return (*found, *broken)
@@ -244,6 +248,27 @@ def _zero_step(record: Record, channel: _Channel, place: int) -> Fault:
         f"{channel.called} jumps by {height:+.4g} from one sample to the next at {record.t[place]:.4g} s and "
         "stays there: no body does, so the sensor slipped or its zero was set anew. Use one side of it only.",
     )  # fmt: skip
+
+
+def _of_stamps(record: Record) -> list[Fault]:
+    """What is wrong with the clocks. Where the time of analysis is not bent by it, it is only reported."""
+    return [
+        Fault(
+            kind=Kind(fault.kind.value),
+            channel="t",
+            joint=None,
+            times=(),
+            share=1.0 if fault.bends_time else 0.0,
+            statement=fault.statement[0].upper() + fault.statement[1:],
+        )
+        for fault in record.begins[0].clock_faults
+        if not fault.times or _within(record, fault.times)
+    ]
+
+
+def _within(record: Record, times: Sequence[float]) -> bool:
+    """Whether one of the steps, of which ``times`` are the first samples after them, has both sides here."""
+    return any(record.t[0] < t <= record.t[-1] for t in times)
 
 
 def _time_order(record: Record) -> list[Fault]:

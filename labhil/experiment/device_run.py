@@ -28,6 +28,7 @@ from labhil.errors import (
 from labhil.experiment.approach import Approach, Waypoints
 from labhil.experiment.controller import Controller
 from labhil.experiment.plan import DevicePlan
+from labhil.host_clock import unix_ns
 from labhil.service.hosts import ConnectedDevice
 from labhil.service.messages import Setpoint
 
@@ -124,7 +125,7 @@ class DeviceRun:
         """Let the steps begin, or go on, at the device's next sample."""
         self.heard_at = time.monotonic()
         self._controller.forget()
-        self._since_ns = time.time_ns()
+        self._since_ns = unix_ns()
         self._started_at_ns = None  # however long the device has rested, its steps go on where they were
         self.rests, self.comes_back = "", False
         self._stalled = ""
@@ -166,7 +167,7 @@ class DeviceRun:
             self._put(requested, timed)
 
     def _put(self, requested: Mapping[str, float], t_hw_ns: int | None) -> None:
-        setpoint = Setpoint(self._token, time.time_ns(), dict(requested), t_hw_ns)
+        setpoint = Setpoint(self._token, unix_ns(), dict(requested), t_hw_ns)
         self._setpoints.put(setpoint.to_bytes())
 
     def _take_events(self, _key: str, payloads: list[bytes]) -> None:

@@ -21,9 +21,10 @@ from labhil.experiment.lab import Lab
 from labhil.experiment.plan import DevicePlan, device_plan
 from labhil.experiment.result import free_path
 from labhil.experiment.twins import start_twin
+from labhil.host_clock import session_clock, unix_ns
 from labhil.recording.rig_attachments import rig_attachments
 from labhil.service.hosts import HostProcess
-from labhil.service.recorder import Recorder
+from labhil.service.recorder import Recorder, RecordingSummary
 
 LOOK = 0.2
 """How often devices and the recording are looked after, s."""
@@ -46,7 +47,8 @@ class LabService:
     def run(self, ended: Callable[[], bool]) -> None:
         """Serve until ``ended``; LabhilError where no device is left, or nothing can be recorded."""
         names = [plan.name for plan in self._plans]
-        with ExitStack() as twins, registered(LAB, self._lab.lab.name, self._bus.endpoint, names):
+        reachable = registered(LAB, self._lab.lab.name, self._bus.endpoint, names)
+        with session_clock(), ExitStack() as twins, reachable:
             try:
                 self._record()
                 for plan in self._plans:
@@ -98,7 +100,7 @@ class LabService:
         if host is not None:
             host.stop()
         self._say(f"{name}: {error}")
-        event = {"t_ns": time.time_ns(), "kind": "failed", "state": "failed", "message": str(error)}
+        event = {"t_ns": unix_ns(), "kind": "failed", "state": "failed", "message": str(error)}
         publish_event(self._bus, name, event)
         if len(self.failed) == len(self._plans):
             raise error
@@ -116,7 +118,12 @@ class LabService:
         self._recorder = Recorder(self._bus, path, attachments=attachments, metadata=metadata)
         self._began = time.monotonic()
         if before is not None:
-            self._say(f"recorded {before.finish('0', 'the next recording began').path}")
+            self._tell(before.finish("0", "the next recording began"))
+
+    def _tell(self, summary: RecordingSummary) -> None:
+        self._say(f"recorded {summary.path}")
+        for warning in summary.warnings:
+            self._say(f"{summary.path}: {warning}")
 
     def _stop(self) -> None:
         """Devices first, all at once; then what was recorded."""
@@ -124,7 +131,7 @@ class LabService:
         if self._recorder is not None:
             summary = self._recorder.finish("0", "the service ended")
             if any(stream.samples for stream in summary.streams):
-                self._say(f"recorded {summary.path}")
+                self._tell(summary)
             else:
                 summary.path.unlink()
 

@@ -26,6 +26,7 @@ from labhil.experiment.plan import DevicePlan, Plan, make_plan
 from labhil.experiment.remote import offer_control
 from labhil.experiment.result import Progress, RunResult, answer_path, recording_path, result_of
 from labhil.experiment.twins import start_twin
+from labhil.host_clock import session_clock, unix_ns
 from labhil.recording.rig_attachments import rig_attachments
 from labhil.service.recorder import Recorder
 
@@ -78,7 +79,7 @@ def run_experiment(
         out_dir.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"{out_dir}: expected a directory for the recording, found {error}") from error
-    with Interruption() as interrupted:
+    with session_clock(), Interruption() as interrupted:
         return _Run(plan, recording_path(experiment, out_dir), progress, interrupted, control).run()
 
 
@@ -287,7 +288,7 @@ class _Run:
     def _publish(self, kind: str, message: str) -> None:
         if self._bus is not None:
             state = self._control.state.value
-            event = {"t_ns": time.time_ns(), "kind": kind, "state": state, "message": message}
+            event = {"t_ns": unix_ns(), "kind": kind, "state": state, "message": message}
             publish_event(self._bus, "run", event)
 
     def _report(self, message: str) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from labhil.errors import RecordingError, UnknownNameError, UsageError
 from labhil.physics.terms import Parameter, Term, Yardstick
+from labhil.recording.clock_faults import ClockFault
 from labhil.signals import FloatArray, Hold, IntArray
 
 BORDER = 20.0
@@ -28,13 +29,15 @@ class Begin:
     """Where one of the recordings of a record begins.
 
     Its first sample is ``row``; its ``number`` counts from 1; its own time is the record's less ``shift`` s.
-    ``loudness`` (channels,) is the noise of its outputs over that of the record, where it was looked at.
+    ``loudness`` (channels,) is the noise of its outputs over that of the record, where it was looked at;
+    ``clock_faults`` are what is wrong with the stamps of its samples.
     """
 
     row: int = 0
     number: int = 1
     shift: float = 0.0
     loudness: tuple[float, ...] = ()
+    clock_faults: tuple[ClockFault, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +143,7 @@ class Record:
         begins, row, end = list[Begin](), 0, float(self.t[0])
         for number, record in enumerate(every, 1):
             shift = end - float(record.t[0]) if row else 0.0
-            begins.append(Begin(row, number, shift))
+            begins.append(Begin(row, number, shift, clock_faults=record.begins[0].clock_faults))
             row, end = row + len(record), float(record.t[-1]) + shift + BORDER * self.period
         return replace(
             self,

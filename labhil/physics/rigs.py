@@ -11,7 +11,7 @@ import numpy as np
 
 from labhil.errors import RecordingError, UnknownNameError, UsageError
 from labhil.kinds import RigKind
-from labhil.physics.model import Metric, Model, Record, Windows, index_of, start_values, starts_of
+from labhil.physics.model import Begin, Metric, Model, Record, Windows, index_of, start_values, starts_of
 from labhil.physics.several import several
 from labhil.recording.reader import Recording, StreamData
 from labhil.rig import RigFile, default_rig
@@ -175,6 +175,7 @@ def _record(stream: StreamData, inputs: list[Signal], outputs: list[Signal], oth
         ),
         input_holds=tuple(holds[signal.name] for signal in inputs for _ in signal.columns()),
         auxiliary=auxiliary,
+        begins=(Begin(clock_faults=stream.clock_faults),),
     )
 
 

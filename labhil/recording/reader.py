@@ -14,17 +14,19 @@ import numpy as np
 from labhil.codec import Codec, stream_from_json
 from labhil.errors import ProtocolError, RecordingError, suggestion
 from labhil.recording.chunks import Contents, Messages, is_mcap, scan
-from labhil.recording.clock import ClockFit, fit_clock, keeps_its_rate
+from labhil.recording.clock import ClockFit, fit_clock
+from labhil.recording.clock_faults import ClockFault, clock_faults
 from labhil.recording.device_clocks import (
     ClockOffset,
     DeviceClock,
-    clocks_from_metadata,
+    device_clock,
     offsets_between,
 )
 from labhil.recording.rig_attachments import attached_rig
 from labhil.recording.runs import MixedRunsError, Run, choose_run, runs_of
+from labhil.recording.stamps import HOST_CLOCK, Stamps, in_time_of
 from labhil.rig import RigFile
-from labhil.signals import Batch, FloatArray, IntArray, Stream
+from labhil.signals import Batch, Direction, FloatArray, IntArray, Stream
 
 
 @dataclass(frozen=True)
@@ -33,9 +35,11 @@ class StreamData:
 
     ``seq``, ``t_acq_ns`` (host, Unix time) and ``t_hw_ns`` (the device's clock) are int64 of shape (n,);
     ``values`` has shape (n, stream.width), SI units; ``t`` (n,) is the time of analysis in seconds of the
-    device's world: its clock mapped onto the host's, 0 at the recording's first sample. ``lost`` counts
-    the holes in ``seq``; ``speed`` is how many seconds of that world passed in a second of the host. Exact
-    ``copies`` of samples were dropped, ``moved`` ones stood behind later ones in the file.
+    device's world: the device's own clock at its own rate, for all streams of a device the same, set where
+    it begins so that it is 0 at the recording's first sample. What compares devices takes :attr:`t_common`.
+    ``lost`` counts the holes in ``seq``; ``speed`` is how many seconds of that world passed in a second of
+    the host. Exact ``copies`` of samples were dropped, ``moved`` ones stood behind later ones in the file.
+    ``clock_faults`` say what is wrong with the stamps.
     """
 
     device: str
@@ -51,9 +55,29 @@ class StreamData:
     clock: ClockFit
     copies: int = 0
     moved: int = 0
+    clock_faults: tuple[ClockFault, ...] = ()
+    clock_start: float = 0.0
 
     def __len__(self) -> int:
         return len(self.seq)
+
+    @property
+    def stamps(self) -> Stamps:
+        """The stamps of the samples, with what is known of the clocks that made them."""
+        steady = HOST_CLOCK in self.metadata
+        return Stamps(self.seq, self.t_hw_ns, self.t_acq_ns, self.stream.rate, self.speed, steady)
+
+    @property
+    def t_common(self) -> FloatArray:
+        """Time that all devices of a recording share, (n,): s of the host since the recording's origin.
+
+        The device's clock mapped by its rate against the host's, without the jitter and the steps of the
+        host's stamps; these themselves where there is no such map.
+        """
+        found = self.clock.map
+        if found is None:
+            return self.t / self.speed
+        return found.steady_host(found.elapsed(self.t_hw_ns)) - self.clock_start
 
     def __getitem__(self, name: str) -> FloatArray:
         """Values of the signal ``name``: shape (n,), or (n, width) for a vector.
@@ -163,7 +187,7 @@ class Recording:
         return "; ".join(found + others)
 
     def losses(self) -> list[str]:
-        """What is not there that should be, a line each: the end of the file, damaged parts, lost samples."""
+        """What is not as it should be, a line each: no end, damaged parts, lost samples, faulty clocks."""
         lines = [f"{self.path}: read as far as it goes: {self.damage}"] if self.damage else []
         for data in self.streams:
             name = f"{data.device}/{data.stream.name}"
@@ -173,12 +197,19 @@ class Recording:
                 f"samples of {name} stood behind later ones, and were put in order": data.moved,
             }
             lines += [f"{self.path}: {count} {what}" for what, count in counts.items() if count]
+            lines += [f"{self.path}: {name}: {fault.statement}" for fault in data.clock_faults]
         return lines
 
     @property
     def clocks(self) -> Mapping[str, DeviceClock]:
-        """How each device's clock ran against the host's, as written at the recording's end."""
-        return clocks_from_metadata(self.metadata)
+        """How each device's clock ran against the host's, from the stamps of its first stream."""
+        found: dict[str, DeviceClock] = {}
+        for data in self.streams:
+            if data.device not in found and _is_measured(data):
+                clock = device_clock(data.stamps, data.clock)
+                if clock is not None:
+                    found[data.device] = clock
+        return found
 
     @property
     def clock_offsets(self) -> Mapping[tuple[str, str], ClockOffset]:
@@ -223,20 +254,17 @@ def _read(path: Path, run: int | None) -> Recording:
     data = _bytes_of(path)
     contents = scan(data)
     topics = _topics(path, contents)
-    streams, span = choose_run(path, topics, run)
-    origin_ns = min((int(s.t_acq_ns[0]) for s in streams if len(s)), default=0)
+    untimed, span = choose_run(path, topics, run)
+    origin_ns = min((int(s.t_acq_ns[0]) for s in untimed if len(s)), default=0)
+    streams = _timed(untimed, origin_ns)
     return Recording(
         path=path,
         sha256=hashlib.sha256(data).hexdigest(),
-        streams=_timed(streams, origin_ns),
+        streams=streams,
         rig=attached_rig(path, contents.attachments),
         attachments=contents.attachments,
         metadata=contents.metadata,
-        events=tuple(
-            event
-            for event in _events(contents, origin_ns, {data.device: data.speed for data in streams})
-            if event.t_ns in span
-        ),
+        events=tuple(event for event in _events(contents, origin_ns, streams) if event.t_ns in span),
         complete=not contents.damage,
         damage=contents.damage,
         foreign=_foreign(contents),
@@ -335,23 +363,49 @@ def holes(seq: IntArray) -> int:
 
 
 def _timed(streams: list[StreamData], origin_ns: int) -> tuple[StreamData, ...]:
-    """Give all streams one time, which is 0 at the first sample of them all."""
-    clocks = [
-        fit_clock(
-            data.t_hw_ns,
-            data.t_acq_ns,
-            origin_ns,
-            data.speed,
-            steady=keeps_its_rate(data.t_hw_ns, data.seq, data.stream.rate),
-        )
+    """Give all streams of a device its own time, which is 0 at the first sample of them all."""
+    clocks = {id(data): _fit(data, origin_ns) for data in streams}
+    mains = _mains(streams, clocks)
+    found = [
+        in_time_of(data.stamps, clocks[id(data)], mains.get(data.device), measured=_is_measured(data))
         for data in streams
     ]
-    pairs = list(zip(streams, clocks, strict=True))
+    pairs = list(zip(streams, found, strict=True))
     start = min((float(clock.t[0]) / data.speed for data, clock in pairs if len(data)), default=0.0)
-    return tuple(replace(data, t=clock.t - start * data.speed, clock=clock) for data, clock in pairs)
+    timed = []
+    for data, clock in pairs:
+        t = clock.t - start * data.speed
+        # a stream that borrows a device's clock borrows its faults, which are told once
+        own = len(data) and (mains.get(data.device) is None or clock is clocks[id(data)])
+        faults = clock_faults(data.stamps, clock, t) if own and _is_measured(data) else ()
+        timed.append(replace(data, t=t, clock=clock, clock_faults=faults, clock_start=start))
+    return tuple(timed)
 
 
-def _events(contents: Contents, origin_ns: int, speeds: Mapping[str, float]) -> tuple[Event, ...]:
+def _fit(data: StreamData, origin_ns: int) -> ClockFit:
+    return fit_clock(data.t_hw_ns, data.t_acq_ns, origin_ns, data.speed, steady=data.stamps.keep_rate)
+
+
+def _is_measured(data: StreamData) -> bool:
+    """Whether the device stamped the samples; what was asked of it is stamped by its host."""
+    return any(signal.direction is not Direction.REQUESTED for signal in data.stream.signals)
+
+
+def _mains(streams: list[StreamData], clocks: Mapping[int, ClockFit]) -> dict[str, ClockFit]:
+    """The clock of each device that has one: that of its longest stream."""
+    found: dict[str, ClockFit] = {}
+    for data in sorted(streams, key=len, reverse=True):
+        clock = clocks[id(data)]
+        if clock.device_clock and clock.map is not None and _is_measured(data):
+            found.setdefault(data.device, clock)
+    return found
+
+
+def _events(contents: Contents, origin_ns: int, streams: Sequence[StreamData]) -> tuple[Event, ...]:
+    """What happened, in the time of the device it happened to; of a run with one device, in that one's."""
+    devices = {data.device: data for data in streams if data.clock.map is not None and len(data)}
+    only = next(iter(devices.values())) if len({data.device for data in streams}) == 1 and devices else None
+    start = next((data.clock_start for data in streams), 0.0)
     events = []
     for channel in contents.channels.values():
         if channel.message_encoding != "json":
@@ -359,7 +413,13 @@ def _events(contents: Contents, origin_ns: int, speeds: Mapping[str, float]) -> 
         messages = contents.messages[channel.id]
         for t_ns, payload in zip(messages.log_times().tolist(), messages.payloads(), strict=True):
             device, _, topic = channel.topic.strip("/").partition("/")
-            t = (t_ns - origin_ns) * 1e-9 * speeds.get(device, 1.0)
+            host = (t_ns - origin_ns) * 1e-9
+            data = devices.get(device, only)
+            t = host - start
+            if data is not None and data.clock.map is not None:
+                found = data.clock.map
+                begin = float(found.steady_host(np.zeros(1))[0])
+                t = (found.device(host) + begin - start) * data.speed
             events.append(Event(device, topic, t_ns, t, _body(payload)))
     return tuple(sorted(events, key=lambda event: event.t_ns))
 

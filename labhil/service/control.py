@@ -23,6 +23,7 @@ from labhil.bus.session import Bus
 from labhil.bus.subscribe import subscribe
 from labhil.driver import DeviceInfo, Driver
 from labhil.errors import BusError, CommandRefusedError, DeviceError, DeviceSilentError
+from labhil.host_clock import unix_ns
 from labhil.service.declared import command_stream, stream_metadata
 from labhil.service.interlocks import Interlocks
 from labhil.service.latch import HostLatch
@@ -357,7 +358,9 @@ class DeviceControl:
 
     def _admit(self, setpoint: Setpoint, now: float) -> None:
         # the lease comes first: a stale setpoint must not keep it alive
-        age, oldest = (time.time_ns() - setpoint.t_ns) * 1e-9, self._config.watchdog
+        # whoever is of no session of ours stamps by the wall clock, which may have been set since ours began
+        age = min(unix_ns() - setpoint.t_ns, time.time_ns() - setpoint.t_ns, key=abs) * 1e-9
+        oldest = self._config.watchdog
         if age > oldest:
             raise CommandRefusedError(f"stale: a setpoint may be {oldest:g} s old, this one is {age:.3g} s")
         if age < -oldest:
@@ -398,5 +401,5 @@ class DeviceControl:
         self._announce(kind or state.value, reason, **more)
 
     def _announce(self, kind: str, message: str, **more: object) -> None:
-        data = {"t_ns": time.time_ns(), "kind": kind, "state": self.state.value, "message": message, **more}
+        data = {"t_ns": unix_ns(), "kind": kind, "state": self.state.value, "message": message, **more}
         publish_event(self._bus, self._config.device, data)

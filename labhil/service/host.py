@@ -14,7 +14,6 @@ import os
 import select
 import signal
 import sys
-import time
 from dataclasses import asdict
 from types import FrameType
 from typing import Any
@@ -24,6 +23,7 @@ from labhil.bus.register import registered
 from labhil.bus.session import Bus, open_bus
 from labhil.driver import Counters, DeviceInfo, Driver
 from labhil.errors import LabhilError, RigFileError
+from labhil.host_clock import unix_ns
 from labhil.plugins import load_driver
 from labhil.service.control import DeviceControl
 from labhil.service.messages import HostConfig, HostState
@@ -105,7 +105,7 @@ def described(driver: Driver, info: DeviceInfo) -> dict[str, Any]:
 def announce_failure(bus: Bus, device: str, error: LabhilError, counters: Counters) -> None:
     """Publish that the device failed, with what, and what had been counted on its wire by then."""
     state = HostState.FAILED.value
-    data = {"t_ns": time.time_ns(), "kind": state, "state": state, "message": str(error)}
+    data = {"t_ns": unix_ns(), "kind": state, "state": state, "message": str(error)}
     publish_event(bus, device, {**data, "error": type(error).__name__, "counters": asdict(counters)})
 
 

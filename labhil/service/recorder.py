@@ -24,7 +24,9 @@ from labhil.bus.session import Bus
 from labhil.bus.subscribe import subscribe
 from labhil.codec import stream_from_json
 from labhil.errors import BusError, CommandRefusedError, ProtocolError, RecordingFailedError
+from labhil.host_clock import unix_ns
 from labhil.recording.device_clocks import ClockWatch, DeviceClock, clocks_to_metadata
+from labhil.recording.stamps import HOST_CLOCK
 from labhil.recording.writer import RecordingWriter, media_type
 from labhil.service.recorded import RecordedStream, StreamSummary
 from labhil.signals import Direction
@@ -55,11 +57,15 @@ UNEXPLAINED = (
 
 @dataclass(frozen=True, slots=True)
 class RecordingSummary:
-    """What was recorded: ``duration`` in s of the host's clock, from the first sample to the last."""
+    """What was recorded: ``duration`` in s of the host's clock, from the first sample to the last.
+
+    ``warnings`` say what is wrong with the stamps of the devices' clocks, a sentence each; once it has ended.
+    """
 
     path: Path
     duration: float
     streams: tuple[StreamSummary, ...]
+    warnings: tuple[str, ...] = ()
 
 
 class Recorder:
@@ -91,6 +97,7 @@ class Recorder:
         self._status_at = time.monotonic()
         self._writer = RecordingWriter(path)
         self._finished = False
+        self._warnings: tuple[str, ...] = ()
         try:
             for name, data in (attachments or {}).items():
                 self._writer.attach(name, media_type(name), data)
@@ -124,7 +131,7 @@ class Recorder:
         ends = [(channel.first_ns, channel.last_ns) for channel in channels]
         duration = (max(end for _, end in ends) - min(start for start, _ in ends)) * 1e-9 if ends else 0.0
         streams = tuple(channel.summary() for channel in channels)
-        return RecordingSummary(self._writer.path, duration, streams)
+        return RecordingSummary(self._writer.path, duration, streams, self._warnings)
 
     def __enter__(self) -> Self:
         return self
@@ -235,6 +242,7 @@ class Recorder:
             stream = stream_from_json(reply["stream"])
             told = {str(name): str(value) for name, value in reply["metadata"].items()}
             channel.speed = float(told.get("speed", "1"))
+            channel.rate, channel.steady_host = stream.rate, HOST_CLOCK in told
             if any(signal.direction is not Direction.REQUESTED for signal in stream.signals):
                 channel.clock = ClockWatch()
             channel.number = self._writer.add_stream(channel.device, stream, told)
@@ -260,7 +268,7 @@ class Recorder:
 
     def _write_status(self) -> None:
         self._status_at = time.monotonic() + STATUS_INTERVAL
-        now = time.time_ns()
+        now = unix_ns()
         streams = {
             f"/{channel.device}/{channel.stream}": {
                 "received": channel.samples,
@@ -284,6 +292,13 @@ class Recorder:
             if channel.waiting:
                 self._keep_unexplained(channel)
         self._write_status()
+        self._warnings = tuple(
+            f"{channel.device}/{channel.stream}: {fault.statement}"
+            for channel in self._channels.values()
+            for fault in channel.clock_faults()
+        )
+        for warning in self._warnings:
+            self._note(warning)
         for name, table in clocks_to_metadata(self._clocks()).items():
             self._writer.metadata(name, table)
         self._writer.finish(exit_status, reason)
@@ -307,7 +322,7 @@ class Recorder:
         )
 
     def _note(self, text: str) -> None:
-        self._writer.event("recorder", time.time_ns(), {"text": text})
+        self._writer.event("recorder", unix_ns(), {"text": text})
 
 
 def _event(payload: bytes) -> tuple[int, dict[str, Any]]:
@@ -316,5 +331,5 @@ def _event(payload: bytes) -> tuple[int, dict[str, Any]]:
         body = json.loads(payload)
         t_ns = int(body["t_ns"])
     except (ValueError, KeyError, TypeError):
-        return time.time_ns(), {"text": payload.decode("utf-8", "replace")}
+        return unix_ns(), {"text": payload.decode("utf-8", "replace")}
     return t_ns, body

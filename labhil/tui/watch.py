@@ -25,6 +25,8 @@ from labhil.bus.session import Bus
 from labhil.bus.subscribe import subscribe
 from labhil.codec import Codec, stream_from_json
 from labhil.errors import BusError, CommandRefusedError, ProtocolError
+from labhil.host_clock import steady_ns
+from labhil.recording.stamps import HOST_CLOCK
 from labhil.signals import FloatArray, Signal, Stream
 from labhil.tui.ring import Ring
 
@@ -113,6 +115,15 @@ class StreamWatch:
         rows = round(self.stream.rate * self.speed * KEPT * 1.1)
         self.ring = Ring(self.stream.width, min(max(rows, 1024), MOST_ROWS))
 
+    @property
+    def ahead_ns(self) -> int:
+        """By how much the clock that stamps the samples is ahead of this machine's wall clock, ns.
+
+        The wall clock may have been set since the session of the device began, its clock not.
+        """
+        offset = self.metadata.get(HOST_CLOCK)
+        return 0 if offset is None else steady_ns() + int(offset) - time.time_ns()
+
     def take(self, payloads: list[bytes], now: float, now_ns: int) -> None:
         """Take messages in."""
         batch = self.codec.decode(payloads)
@@ -122,7 +133,7 @@ class StreamWatch:
         self.last_seq = int(seq[-1])
         self.received += len(batch)
         self.arrived_at = now
-        self.transits.append((now, (now_ns - int(batch.t_acq_ns[-1])) * 1e-9))
+        self.transits.append((now, (now_ns + self.ahead_ns - int(batch.t_acq_ns[-1])) * 1e-9))
         self.ring.append(batch)
 
     def beat(self, now: float) -> Beat:
@@ -333,5 +344,5 @@ def _view(name: str, device: _Device, now: float) -> DeviceView:
 def trace(watched: StreamWatch, signal: str, seconds: float, now_ns: int) -> tuple[FloatArray, FloatArray]:
     """The newest ``seconds`` of a signal: s before ``now_ns`` (n,), negative, and values (n, columns)."""
     t_acq, _, values = watched.ring.newest(seconds)
-    ago: FloatArray = (t_acq - now_ns).astype(np.float64) * 1e-9
+    ago: FloatArray = (t_acq - (now_ns + watched.ahead_ns)).astype(np.float64) * 1e-9
     return ago, values[:, watched.stream.columns_of(signal)]
