@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from labhil.console import refuse_unwritable, tell, write_json
+from labhil.console import refuse_unwritable, status, tell, write_json
 
 
 def add_files(app: typer.Typer) -> None:
@@ -28,10 +28,14 @@ def import_(
 ) -> None:
     """Make a recording of a table that others wrote."""
     from labhil.recording.tables import describe_import, import_table, write_import
+    from labhil.report.import_check import checked
     from labhil.rig import load_rig
 
     table = import_table(data, load_rig(rig))
     tell(describe_import(table))
+    with status() as say:
+        table, seen = checked(table, say)
+    tell(seen)
     print(write_import(table, out))
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labhil.errors import DiskFailedError, RecordingFailedError, TableError, suggestion
+from labhil.recording.channel_keys import held_as_stated, with_channel_keys
 from labhil.recording.columns import read_columns
 from labhil.recording.formats.columns import Columns
 from labhil.recording.reader import RIG_ATTACHMENT
@@ -115,7 +116,8 @@ def import_table(data: Path, rig: RigFile) -> ImportedTable:
     row = _rows_in_time(sheet, finite, time)
     t = _seconds(sheet, row, time)
     stream = Stream("state", tuple(one.signal for one in mapped), float(1.0 / np.median(np.diff(t))))
-    outside, flagged = _outside(stream, values[row], rig)
+    kept, applied = with_channel_keys(stream, rig.channels, t, values[row])
+    outside, flagged = _outside(stream, kept, rig)
     complete = sheet.columns.complete
     return ImportedTable(
         source=data,
@@ -124,7 +126,7 @@ def import_table(data: Path, rig: RigFile) -> ImportedTable:
         stream=stream,
         row=row,
         t=t,
-        values=values[row],
+        values=kept,
         time_origin=0.0 if time is None else float(time[row[0]]),
         rows=len(finite),
         dropped={
@@ -134,7 +136,7 @@ def import_table(data: Path, rig: RigFile) -> ImportedTable:
         },
         outside=outside,
         flagged=flagged,
-        notes=sheet.columns.notes,
+        notes=(*sheet.columns.notes, *applied),
     )
 
 
@@ -221,7 +223,7 @@ def _wanted(rig: RigFile) -> tuple[str, ...]:
 def _signals(sheet: _Sheet) -> tuple[_Mapped, ...]:
     """The signals that are in the file, with their columns."""
     mapped = tuple(
-        _mapped(sheet, signal, channel)
+        _mapped(sheet, held_as_stated(signal, channel), channel)
         for signal in sheet.rig.kind.signals()
         if (channel := _channel_of(sheet, signal)) is not None
     )
