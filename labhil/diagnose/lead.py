@@ -120,7 +120,7 @@ def _answer(t: FloatArray, y: FloatArray, jumps: IntArray, k: int, height: Float
     off = np.empty(len(jumps))
     for e, jump in enumerate(jumps):
         along = (t[rows[e]] - t[jump]) / period
-        # a line where there is only noise, bent as motion bends it: a line would see its curvature as an answer
+        # bent as motion is: a line would take its curvature for an answer
         fit = np.polynomial.polynomial.polyfit(along, y[rows[e]], 2)
         off[e] = y[jump + k] - np.polynomial.polynomial.polyval((t[jump + k] - t[jump]) / period, fit)
     power = float(height @ height)

@@ -10,7 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from labhil.diagnose.intake import Fault, faults_of, with_censored
+from labhil.diagnose.fault import Fault
+from labhil.diagnose.intake import with_censored
+from labhil.diagnose.timing import all_faults
 from labhil.errors import RecordingError, UsageError
 from labhil.identify.windows import FEWEST_SAMPLES, split, with_least_noise
 from labhil.physics.arm import ArmModel
@@ -73,7 +75,7 @@ class Material:
 
     def faults(self) -> tuple[Fault, ...]:
         """What is wrong with the data that are learnt from, and with what is held out of them."""
-        return faults_of(self.measured)
+        return all_faults(self.model, self.measured)
 
     def numbered(self) -> list[str]:
         """What the numbers of several recordings stand for, a line each; nothing of one."""
