@@ -270,4 +270,4 @@ def wrapped(record: Record, name: str, joint: int | None, wraps: Wraps) -> Fault
     return Fault(Kind.WRAPPED, name, joint, times, count / len(record), say)
 
 
-__all__ = ["Fault", "Kind", "Usable", "faults", "faults_of", "usable"]
+__all__ = ["TOLERATED", "Fault", "Kind", "Usable", "faults", "faults_of", "usable", "with_censored"]

@@ -44,6 +44,9 @@ STARTED = 0.02
 TOO_FAST = 0.3
 """Share of an answer's growth that is left after one sample, under which the plant is as fast as sampling."""
 
+IN_FULL = 0.8
+"""Share of the next sample's answer from which a first one is all there: a slow plant's is a half at most."""
+
 LEAST = {Hold.ZERO: 0.5, Hold.LINEAR: 1.5}
 """Samples of lead that count: what is straight between samples may have moved right after the one before."""
 
@@ -138,7 +141,7 @@ def _begun(growth: FloatArray) -> float | None:
     By A·(1 − exp(−a·τ)), or by τ² where it grows faster and faster. None where it is all there at once.
     """
     first, rise, more = growth[0], growth[1] - growth[0], growth[2] - growth[1]
-    if rise <= 0.0 or more <= TOO_FAST * rise:
+    if rise <= (1.0 - IN_FULL) * growth[1] or more <= TOO_FAST * rise:
         return None
     share = more / rise
     if share > 1.25:

@@ -51,7 +51,7 @@ def all_faults(model: Model, record: Record) -> tuple[Fault, ...]:
 
 
 def better_hold(model: Model, record: Record) -> Hold | None:
-    """How the one input of a record runs between samples, by which fits better; None where that is not sure."""
+    """How the one input of a record runs between samples, as fits tell; None where they are not sure."""
     part = _part(model, record)
     if part is None:
         return None
@@ -61,7 +61,7 @@ def better_hold(model: Model, record: Record) -> Hold | None:
 
 
 def late_input(model: Model, record: Record) -> Fault | None:
-    """The fault of an input that is stamped late, where the model fits to the noise with it earlier, only then.
+    """The fault of an input that is stamped late: the model fits to the noise with it earlier, and only then.
 
     Only one recording with one input is looked at.
     """
@@ -73,10 +73,11 @@ def late_input(model: Model, record: Record) -> Fault | None:
     if not best:
         return None
     name, shift = record.input_names[0], -best * record.period
+    count = f"{best} sample{'s' if best > 1 else ''}"
     say = (
-        f"The outputs answer {name} {-shift:.3g} s ({best} sample{'s' if best > 1 else ''}) before it changes: "
-        f"the model fits to the noise with {name} as much earlier, and not as it is stamped. Stamp both by one "
-        f"clock, or import the table again with `[channels] {name} = {{ …, shift = {shift:.6g} }}`."
+        f"The outputs answer {name} {-shift:.3g} s ({count}) before it changes: "
+        f"the model fits to the noise with {name} as much earlier, and not as it is stamped. Stamp both by "
+        f"one clock, or import the table again with `[channels] {name} = {{ …, shift = {shift:.6g} }}`."
     )
     whole = ((float(record.t[0]), float(record.t[-1])),)
     return Fault(Kind.LEAD, name, None, whole, 1.0, say)
