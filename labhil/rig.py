@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from labhil.errors import RigFileError, suggestion
 from labhil.kinds import Known, RigKind, kind_named, kind_names
+from labhil.signals import Hold
 
 Threshold = Annotated[float, Field(allow_inf_nan=False)] | None
 
@@ -132,12 +133,20 @@ Factor = float | list[float]
 
 
 class Channel(_Section):
-    """One entry of ``[channels]``: value = raw · ``scale`` + ``offset``; columns by name or number."""
+    """One entry of ``[channels]``: value = raw · ``scale`` + ``offset``; columns by name or number.
+
+    ``hold`` says how an input runs between samples: "zero" keeps the earlier value, "linear" is straight.
+    ``unwrap`` is the period (in the signal's unit) after which a position begins anew, to be undone.
+    ``shift`` (s) is added to the channel's own stamps: −0.01 for stamps that are 10 ms late.
+    """
 
     column: Column | None = None
     columns: list[Column] | None = None
     scale: Factor = 1.0
     offset: Factor = 0.0
+    hold: Hold | None = None
+    unwrap: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    shift: Annotated[float, Field(allow_inf_nan=False)] = 0.0
 
     @model_validator(mode="after")
     def _one_way(self) -> Channel:
@@ -234,6 +243,7 @@ class RigFile(_Section):
         _check_names("limits", self.limits, signals | columns)
         _check_names("interlocks", self.interlocks, signals)
         _check_names("channels", self.channels, signals | {"t"})
+        _check_keys_of_channels(self)
         for name, value in self.known.items():
             _check_known(name, value, self.kind.known[name])
         _check_geometry(self)
@@ -336,6 +346,19 @@ def _check_names(section: str, given: Mapping[str, object], known: set[str]) -> 
             raise ValueError(
                 f"{section}.{name}: unknown name{suggestion(name, known)}; known: {', '.join(sorted(known))}"
             )
+
+
+def _check_keys_of_channels(rig: RigFile) -> None:
+    """ValueError for a key of ``[channels]`` where it means nothing."""
+    inputs = {signal.name for signal in (*rig.kind.inputs, *rig.kind.optional)}
+    for name, channel in rig.channels.items():
+        if channel.hold is not None and name not in inputs:
+            raise ValueError(
+                f"channels.{name}.hold: only an input runs on between samples; inputs: "
+                f"{', '.join(sorted(inputs))}"
+            )
+        if name == "t" and (channel.unwrap is not None or channel.shift):
+            raise ValueError("channels.t: `unwrap` and `shift` belong to the signals, not to the time")
 
 
 def _check_known(name: str, value: object, what: Known) -> None:

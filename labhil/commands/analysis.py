@@ -108,6 +108,7 @@ def fit(
     from labhil.identify.estimators import estimator_named
     from labhil.identify.fit import Options, criterion_named
     from labhil.identify.intervals import interval_method
+    from labhil.report.faults import show_faults
     from labhil.report.kept_curve import curve_note
     from labhil.report.material import load_material
     from labhil.report.study import fit_study
@@ -123,6 +124,7 @@ def fit(
     with status() as say:
         options = Options(window, method, simultaneous, estimator_named(estimator), seed, say, small)
         result = fit_study(material, terms=split_names(names), start=model, options=options)
+    show_faults(material.faults(), results_console())
     show_fit(result.fit, results_console(), [*material.numbered(), *material.notes(), *curve_note(model)])
     if json_path is not None:
         write_json(result.json, json_path)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from labhil.console import refuse_unwritable, tell, write_json
+from labhil.console import refuse_unwritable, status, tell, write_json
 
 RunOption = Annotated[
     int | None,
@@ -34,10 +34,14 @@ def import_(
     """Make a recording of a table that others wrote."""
     from labhil.recording.reader import read_recording
     from labhil.recording.tables import describe_import, import_table, write_import
+    from labhil.report.import_check import checked
     from labhil.rig import load_rig
 
     table = import_table(data, load_rig(rig))
     tell(describe_import(table))
+    with status() as say:
+        table, seen = checked(table, say)
+    tell(seen)
     path = write_import(table, out)
     faults = (fault for data in read_recording(path).streams for fault in data.clock_faults)
     tell(f"{data}: {fault.statement}" for fault in faults)

@@ -17,11 +17,12 @@ from labhil.diagnose.beyond import strongest
 from labhil.diagnose.conclude import Concluded, concluded
 from labhil.diagnose.evidence import bic, effective_samples
 from labhil.diagnose.found import Found
-from labhil.diagnose.intake import Fault, faults_of, usable
+from labhil.diagnose.intake import Fault, usable
 from labhil.diagnose.judge import NEEDED_BIC, Data
 from labhil.diagnose.load import with_load
 from labhil.diagnose.rest import left_by, unexplained
 from labhil.diagnose.search import onward, search
+from labhil.diagnose.timing import all_faults
 from labhil.diagnose.unmodelled import Unmodelled
 from labhil.diagnose.wider import adds_beyond_doubt, goes_elsewhere, searched_and_kept
 from labhil.identify.fitted import Fitted, climb, start_theta
@@ -71,7 +72,7 @@ def diagnose(
     base = fit_baseline(data, terms)
     data, base = _with_lasting_noise(data, base)
     whole = searched if measured is None else measured
-    faults = faults_of(whole)
+    faults = all_faults(model, whole)
     if not usable(whole, faults).fit:
         reason = "the data are at fault"
         return _unsearched(data, base, "data_fault", reason, faults, heldout_is_test, began)

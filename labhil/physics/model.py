@@ -48,6 +48,10 @@ class Record:
     ``input_holds`` (inputs,) what each input does between samples; ``auxiliary`` holds other channels of
     the rig, each (n,), by column name; ``output_joints`` (channels,) the joint of each output, where it
     has one. ``begins`` tells where each recording begins: nothing may be followed from one to the next.
+    ``least_noise`` (channels,) is the least standard deviation of the noise that the whole recording shows: a
+    part of it that rests shows none; empty where nothing is known. ``censored`` (n, channels) is +1 where a
+    reading stands at the upper end of its range and says only "at least this", −1 at the lower end, else 0;
+    None where all are readings.
     """
 
     t: FloatArray
@@ -60,6 +64,8 @@ class Record:
     auxiliary: Mapping[str, FloatArray] = field(default_factory=dict)
     output_joints: tuple[int | None, ...] = ()
     begins: tuple[Begin, ...] = (Begin(),)
+    least_noise: tuple[float, ...] = ()
+    censored: IntArray | None = None
 
     def __len__(self) -> int:
         return len(self.t)
@@ -115,6 +121,11 @@ class Record:
         """Correlation of the measurement noise in rows 0 to 3 apart, as far as it was filtered."""
         return WHITE
 
+    def with_holds(self, holds: Mapping[str, Hold]) -> Record:
+        """The same with what some inputs do between samples, by column name."""
+        found = tuple(holds.get(n, h) for n, h in zip(self.input_names, self.input_holds, strict=False))
+        return self if found == self.input_holds else replace(self, input_holds=found)
+
     def channel(self, j: int) -> tuple[str, int | None]:
         """Signal and joint of output column ``j``."""
         joint = self.output_joints[j] if self.output_joints else None
@@ -131,6 +142,7 @@ class Record:
             outputs=self.outputs[first:last],
             auxiliary={name: values[first:last] for name, values in self.auxiliary.items()},
             begins=tuple(replace(begin, row=max(begin.row - first, 0)) for begin in here) or (Begin(),),
+            censored=None if self.censored is None else self.censored[first:last],
         )
 
     def within(self, first: int, last: int) -> list[int]:
@@ -154,7 +166,27 @@ class Record:
                 name: np.concatenate([record.auxiliary[name] for record in every]) for name in self.auxiliary
             },
             begins=tuple(begins),
+            least_noise=_common_floor(every),
+            censored=_censored_of(every),
         )
+
+
+def _common_floor(records: Sequence[Record]) -> tuple[float, ...]:
+    """The least noise that every one of them has at least; none where one does not state it."""
+    if not all(record.least_noise for record in records):
+        return ()
+    return tuple(np.min([record.least_noise for record in records], axis=0).tolist())
+
+
+def _censored_of(records: Sequence[Record]) -> IntArray | None:
+    if all(record.censored is None for record in records):
+        return None
+    return np.concatenate(
+        [
+            np.zeros(record.outputs.shape, dtype=np.int64) if record.censored is None else record.censored
+            for record in records
+        ]
+    )
 
 
 def joined(records: Sequence[Record], names: Sequence[str] = ()) -> Record:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from importlib.metadata import entry_points
 
@@ -13,9 +13,9 @@ from labhil.errors import RecordingError, UnknownNameError, UsageError
 from labhil.kinds import RigKind
 from labhil.physics.model import Begin, Metric, Model, Record, Windows, index_of, start_values, starts_of
 from labhil.physics.several import several
-from labhil.recording.reader import Recording, StreamData
+from labhil.recording.reader import Recording
 from labhil.rig import RigFile, default_rig
-from labhil.signals import Signal
+from labhil.signals import FloatArray, Stream
 
 ALL_SPEEDS = ("stribeck_friction", "quadratic_viscous_friction", "cubic_viscous_friction")
 
@@ -129,20 +129,47 @@ def record_of(recording: Recording, kind: RigKind) -> Record:
             "choose one with --device"
         )
     for stream in recording.streams:
-        names = set(stream.stream.names())
-        driven_by = next((inputs for inputs in kind.driven_by if names >= set(inputs)), None)
-        outputs = [signal for signal in kind.outputs if signal.name in names]
-        if driven_by is None or not outputs or (len(outputs) < len(kind.outputs) and not kind.any_output):
+        record = record_of_samples(stream.stream, stream.t, stream.values, kind)
+        if record is None:
             continue
         if not len(stream):
             raise RecordingError(
                 f"{recording.path}: expected samples in {stream.device}/{stream.stream.name}, found 0"
             )
-        inputs = [signal for signal in kind.inputs if signal.name in driven_by]
-        inputs += [signal for signal in kind.optional if signal.name in names]
-        others = [signal for signal in kind.auxiliary if signal.name in names]
-        return _record(stream, inputs, outputs, others)
+        return replace(record, begins=(Begin(clock_faults=stream.clock_faults),))
     raise RecordingError(f"{recording.path}: {_needed(kind)}; found {recording.described()}")
+
+
+def record_of_samples(stream: Stream, t: FloatArray, values: FloatArray, kind: RigKind) -> Record | None:
+    """Take the signals of a rig out of samples (n, columns) at times (n,) s; None where some are missing."""
+    names = set(stream.names())
+    driven_by = next((inputs for inputs in kind.driven_by if names >= set(inputs)), None)
+    outputs = [signal for signal in kind.outputs if signal.name in names]
+    if driven_by is None or not outputs or (len(outputs) < len(kind.outputs) and not kind.any_output):
+        return None
+    holds = {signal.name: signal.hold for signal in stream.signals}
+    columns = {s.name: values[:, stream.columns_of(s.name)] for s in kind.signals() if s.name in names}
+    inputs = [signal for signal in kind.inputs if signal.name in driven_by]
+    inputs += [signal for signal in kind.optional if signal.name in names]
+    auxiliary = {
+        column: np.ascontiguousarray(x)
+        for signal in kind.auxiliary
+        if signal.name in names
+        for column, x in zip(signal.columns(), columns[signal.name].T, strict=True)
+    }
+    return Record(
+        t=np.ascontiguousarray(t),
+        inputs=np.hstack([columns[signal.name] for signal in inputs]),
+        outputs=np.hstack([columns[signal.name] for signal in outputs]),
+        input_names=tuple(column for signal in inputs for column in signal.columns()),
+        output_names=tuple(column for signal in outputs for column in signal.columns()),
+        output_units=tuple(signal.unit for signal in outputs for _ in signal.columns()),
+        output_joints=tuple(
+            joint if signal.width > 1 else None for signal in outputs for joint in range(signal.width)
+        ),
+        input_holds=tuple(holds[signal.name] for signal in inputs for _ in signal.columns()),
+        auxiliary=auxiliary,
+    )
 
 
 def _devices_of(recording: Recording, kind: RigKind) -> list[str]:
@@ -154,33 +181,6 @@ def _devices_of(recording: Recording, kind: RigKind) -> list[str]:
         and any(signal.name in data.stream.names() for signal in kind.outputs)
     ]
     return list(dict.fromkeys(matching))
-
-
-def _record(stream: StreamData, inputs: list[Signal], outputs: list[Signal], others: list[Signal]) -> Record:
-    holds = {signal.name: signal.hold for signal in stream.stream.signals}
-    auxiliary = {
-        column: np.ascontiguousarray(values)
-        for signal in others
-        for column, values in zip(signal.columns(), _columns(stream, signal).T, strict=True)
-    }
-    return Record(
-        t=np.ascontiguousarray(stream.t),
-        inputs=np.hstack([_columns(stream, signal) for signal in inputs]),
-        outputs=np.hstack([_columns(stream, signal) for signal in outputs]),
-        input_names=tuple(column for signal in inputs for column in signal.columns()),
-        output_names=tuple(column for signal in outputs for column in signal.columns()),
-        output_units=tuple(signal.unit for signal in outputs for _ in signal.columns()),
-        output_joints=tuple(
-            joint if signal.width > 1 else None for signal in outputs for joint in range(signal.width)
-        ),
-        input_holds=tuple(holds[signal.name] for signal in inputs for _ in signal.columns()),
-        auxiliary=auxiliary,
-        begins=(Begin(clock_faults=stream.clock_faults),),
-    )
-
-
-def _columns(stream: StreamData, signal: Signal) -> np.ndarray:
-    return np.asarray(stream[signal.name]).reshape(len(stream), signal.width)
 
 
 def _needed(kind: RigKind) -> str:

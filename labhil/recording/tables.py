@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from labhil.errors import DiskFailedError, RecordingFailedError, TableError, suggestion
 from labhil.recording.bad_rows import WHY, bad_rows, finite_rows
+from labhil.recording.channel_keys import held_as_stated, with_channel_keys
 from labhil.recording.columns import read_columns
 from labhil.recording.formats.time_text import TimeKind
 from labhil.recording.rig_attachments import rig_attachments
@@ -92,6 +93,7 @@ def import_table(data: Path, rig: RigFile) -> ImportedTable:
     notes += [_rate_note(sheet)] if clock is None else time_notes(sheet, clock, t, row)
     stream = Stream("state", tuple(one.signal for one in mapped), float(1.0 / np.median(np.diff(t))))
     values = np.hstack([scaled for _, scaled in filled.taken])[row]
+    values, applied = with_channel_keys(stream, rig.channels, t, values)
     outside, flagged = _outside(stream, values, rig)
     also = {EDGE: filled.edge & ~ordered.elsewhere, PART: ordered.elsewhere & sheet.columns.complete}
     return ImportedTable(
@@ -110,7 +112,7 @@ def import_table(data: Path, rig: RigFile) -> ImportedTable:
         },
         outside=outside,
         flagged=flagged,
-        notes=tuple(notes),
+        notes=(*notes, *applied),
         first_bad=bad.first,
     )
 
@@ -207,7 +209,7 @@ def _wanted(rig: RigFile) -> tuple[str, ...]:
 def _signals(sheet: Sheet) -> tuple[Mapped, ...]:
     """The signals that are in the file, with their columns."""
     mapped = tuple(
-        _mapped(sheet, signal, channel)
+        _mapped(sheet, held_as_stated(signal, channel), channel)
         for signal in sheet.rig.kind.signals()
         if (channel := _channel_of(sheet, signal)) is not None
     )

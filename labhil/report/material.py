@@ -11,8 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
+from labhil.diagnose.fault import Fault
+from labhil.diagnose.intake import with_censored
+from labhil.diagnose.timing import all_faults
 from labhil.errors import RecordingError, UsageError
-from labhil.identify.windows import FEWEST_SAMPLES, split
+from labhil.identify.windows import FEWEST_SAMPLES, split, with_least_noise
 from labhil.physics.arm import ArmModel
 from labhil.physics.model import Model, Record, joined
 from labhil.physics.rigs import model_for, record_of
@@ -70,6 +73,10 @@ class Material:
             names = ", ".join(self.learn.input_names)
             told.append(f"No input changes ({names}): only what the rig does by itself can be learnt.")
         return told
+
+    def faults(self) -> tuple[Fault, ...]:
+        """What is wrong with the data that are learnt from, and with what is held out of them."""
+        return all_faults(self.model, self.measured)
 
     def numbered(self) -> list[str]:
         """What the numbers of several recordings stand for, a line each; nothing of one."""
@@ -189,7 +196,9 @@ def _measured(
 
     Raises RecordingError where one has another input than the record ``like`` of the recording ``of``.
     """
-    records = [_within(record_of(recording, rig.kind), span, recording) for recording in recordings]
+    records = [
+        _within(_marked(record_of(recording, rig.kind), rig), span, recording) for recording in recordings
+    ]
     for recording, record in zip(recordings, records, strict=True):
         if like is not None and of is not None and record.input_names != like.input_names:
             raise RecordingError(
@@ -197,6 +206,15 @@ def _measured(
                 f"found {record.input_names[0]}"
             )
     return records, joined(records, [str(recording.path) for recording in recordings])
+
+
+def _marked(record: Record, rig: RigFile) -> Record:
+    """A record with the holds that the rig file states, and what only the whole of it shows.
+
+    That is the noise of channels that rest for a part of it, and readings at the ends of their range.
+    """
+    record = with_least_noise(record.with_holds({n: c.hold for n, c in rig.channels.items() if c.hold}))
+    return record if any(joint is not None for joint in record.output_joints) else with_censored(record)
 
 
 def _within(record: Record, span: tuple[float, float] | None, recording: Recording) -> Record:

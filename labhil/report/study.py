@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +76,7 @@ def fit_study(
     seconds = time.perf_counter() - began
     sources = material.sources("train")
     data = fit_json(result, sources, model.kind, how.estimator, how.seed, seconds, curves_json(model))
+    data["faults"] = [asdict(fault) for fault in material.faults()]
     return FitResult(result, material, data)
 
 
