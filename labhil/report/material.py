@@ -20,6 +20,7 @@ from labhil.physics.arm import ArmModel
 from labhil.physics.model import Model, Record, joined
 from labhil.physics.rigs import model_for, record_of
 from labhil.physics.several import several
+from labhil.physics.solenoid import SolenoidModel
 from labhil.recording.reader import Recording, read_recordings
 from labhil.report.results import Source
 from labhil.report.still import constant
@@ -68,7 +69,7 @@ class Material:
 
     def notes(self) -> list[str]:
         """What the model wants a person to know of what it took for known."""
-        told = list(self.model.notes) if isinstance(self.model, ArmModel) else []
+        told = list(self.model.notes) if isinstance(self.model, (ArmModel, SolenoidModel)) else []
         if constant(self.learn.inputs).all():
             names = ", ".join(self.learn.input_names)
             told.append(f"No input changes ({names}): only what the rig does by itself can be learnt.")

@@ -132,6 +132,7 @@ def diagnosis_json(diagnosis: Diagnosis, sources: Sequence[Source]) -> Any:
             "p_value_floor": diagnosis.p_value_floor,
             "baseline": {"terms": list(diagnosis.baseline_terms), "parameters": _rows(diagnosis.baseline)},
             "changed": [asdict(change) for change in diagnosis.changed],
+            "collapsed": [asdict(size) for size in diagnosis.collapsed],
             "location": None if diagnosis.location is None else _location(diagnosis.location),
             "missing": [{**asdict(item), "parameters": _rows(item.parameters)} for item in diagnosis.missing],
             "rivals": [asdict(rival) for rival in diagnosis.rivals],

@@ -16,7 +16,7 @@ from labhil.identify.statistics import Estimate
 from labhil.physics.model import Metric
 from labhil.physics.terms import keyed, listed
 from labhil.report.absent import joints_table, of_joints, silences
-from labhil.report.html.quantity import quantity, squared
+from labhil.report.html.quantity import NOTHING, quantity, squared
 from labhil.report.verdicts import VERDICTS
 
 NOT_THERE = "Not there, or smaller than this (99 %)"
@@ -71,14 +71,18 @@ def parameter_table(estimates: Sequence[Estimate], title: str) -> Table:
         table.add_row(
             row.key,
             f"{row.value:.5g}",
-            f"{row.std_error:.2g}",
-            f"[{row.ci99[0]:.4g}, {row.ci99[1]:.4g}]".replace("[", r"\["),
-            f"{row.z:.1f}",
-            small(row.p_value).removeprefix("= "),
+            _or_dash(row.std_error, ".2g"),
+            NOTHING if math.isnan(row.ci99[0]) else rf"\[{row.ci99[0]:.4g}, {row.ci99[1]:.4g}]",
+            _or_dash(row.z, ".1f"),
+            NOTHING if math.isnan(row.p_value) else small(row.p_value).removeprefix("= "),
             _mark(row),
             row.unit,
         )
     return table
+
+
+def _or_dash(value: float, form: str) -> str:
+    return NOTHING if math.isnan(value) else f"{value:{form}}"
 
 
 def percent(share: float, unit: str = " %") -> str:
@@ -92,6 +96,8 @@ def small(p_value: float) -> str:
 
 
 def _mark(row: Estimate) -> str:
+    if math.isnan(row.std_error):
+        return "held"
     if not row.identifiable:
         return "not identifiable"
     if row.at_bound:
@@ -212,6 +218,8 @@ def _found(diagnosis: Diagnosis) -> Iterator[RenderableType]:
     yield Text(VERDICTS[diagnosis.verdict], style="bold")
     terms = ", ".join(listed(diagnosis.baseline_terms))
     yield Text(f"Baseline: {terms}; p {small(diagnosis.p_value)} that it suffices.")
+    for size in diagnosis.collapsed:
+        yield Text(f"! {size.statement}", style="yellow")
     for fault in diagnosis.faults:
         yield Text(f"! {fault.statement}", style="yellow")
     if diagnosis.location is not None:
