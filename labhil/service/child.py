@@ -41,6 +41,7 @@ class Child:
             stderr=self._errors,
             start_new_session=True,
             text=True,
+            errors="replace",
             bufsize=1,
             env={**os.environ, **(environment or {})},
         )
@@ -50,9 +51,11 @@ class Child:
 
     def _read_lines(self) -> None:
         assert self._process.stdout is not None
-        for line in self._process.stdout:
-            self._lines.put(line.rstrip("\n"))
-        self._lines.put(None)
+        try:
+            for line in self._process.stdout:
+                self._lines.put(line.rstrip("\n"))
+        finally:
+            self._lines.put(None)
 
     @property
     def pid(self) -> int:
