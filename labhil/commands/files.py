@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from labhil.console import refuse_unwritable, tell, write_json
+from labhil.console import deliver, refuse_unwritable, tell
 
 
 def add_files(app: typer.Typer) -> None:
@@ -86,6 +86,4 @@ def recover(
     refuse_unwritable(json_path, out)
     result = save(broken, out, keep_doubtful=keep_doubtful)
     tell(result.lines())
-    if json_path is not None:
-        write_json(result.to_json(), json_path)
-    print(result.path)
+    deliver(result.to_json(), json_path, lambda: print(result.path))

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from labhil.commands.json_flag import JsonFlagCommand
 from labhil.console import tell, write_json
 
 Connect = Annotated[
@@ -19,7 +20,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON."
 
 def add_safety(app: typer.Typer) -> None:
     """Register these commands."""
-    app.command(epilog="Example: labhil estop --reason 'the ball jumped'")(estop)
+    app.command(cls=JsonFlagCommand, epilog="Example: labhil estop --reason 'the ball jumped'")(estop)
     app.command(epilog="Example: labhil control pause --reason 'to look at the ball'")(control)
 
 

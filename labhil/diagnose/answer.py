@@ -109,7 +109,8 @@ class Diagnosis:
     ``faults`` are those of the data, whether or not they make them unfit. ``wider`` says that scores are on
     parts of what was held out, and that the parts between were searched; ``shorter`` are scores before and
     after on windows as short as the search's, where the answer only shows on those. ``curve`` is the
-    strongest one, ``further_curves`` are those of an arm's other joints.
+    strongest one, ``further_curves`` are those of an arm's other joints. ``complete`` is False where it was
+    ended early, with the best so far.
     """
 
     verdict: str
@@ -138,6 +139,7 @@ class Diagnosis:
     further_curves: tuple[Curve, ...] = ()
     shorter: tuple[Score, Score] | None = None
     wider: bool = False
+    complete: bool = True
 
     @property
     def named(self) -> list[str]:

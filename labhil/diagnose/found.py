@@ -39,7 +39,10 @@ class Rival:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Where a search ended; ``errors`` are standard errors by key that its fits by themselves cannot know."""
+    """Where a search ended; ``errors`` are standard errors by key that its fits by themselves cannot know.
+
+    ``complete`` is False where it was ended early, with the best so far.
+    """
 
     baseline: Fitted
     final: Fitted
@@ -48,6 +51,7 @@ class Found:
     p_value: float
     looks: int
     errors: Mapping[str, float] = field(default_factory=dict)
+    complete: bool = True
 
     @property
     def nothing(self) -> Found:
