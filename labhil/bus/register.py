@@ -137,14 +137,22 @@ def running(kind: str | None = None) -> tuple[Registered, ...]:
     return tuple(sorted(found, key=lambda entry: entry.since))
 
 
-def find_run(connect: str | None = None) -> str:
+def find_run(connect: str | None = None, *, or_lab: bool = False) -> str:
     """Return the endpoint of the one run that is up, or ``connect`` if that is given and on loopback.
 
-    UsageError when there is none, or several to choose from.
+    With ``or_lab`` that of the one lab that is served, where there is no run. UsageError when there is none,
+    or several to choose from.
     """
     if connect is not None:
         return check_loopback(connect)
-    runs = running("run")
+    runs, labs = running("run"), running("lab")
+    if labs and not runs and not or_lab:
+        names = ", ".join(lab.name for lab in labs)
+        raise UsageError(
+            f"expected a run that is up, found only a served lab ({names}): `labhil control status` and "
+            "`labhil estop` are for it, and Ctrl+C where it was started ends it"
+        )
+    runs = runs or labs
     if len(runs) == 1:
         return runs[0].endpoint
     if not runs:

@@ -38,10 +38,7 @@ def serve_lab(
         at_work.start()
         service = LabService(lab, bus, place, say)
         try:
-            if lab.devices:
-                service.run(interrupted)
-            else:
-                _wait(interrupted)
+            service.run(interrupted)
         finally:
             done.set()
             at_work.join()
@@ -61,9 +58,3 @@ def _work(worker: Worker, done: threading.Event, say: Callable[[str], None]) -> 
         except (LabhilError, OSError, ValueError, LookupError) as error:
             # devices are served and recorded whatever becomes of an analysis
             say(f"the worker: {error}")
-
-
-def _wait(interrupted: Callable[[], bool]) -> None:
-    pause = threading.Event()
-    while not interrupted():
-        pause.wait(LOOK)

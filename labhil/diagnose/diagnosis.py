@@ -303,6 +303,8 @@ def _suffices(found: Found, curves: Sequence[Unmodelled]) -> float:
 def _verdict(end: Concluded, changed: Sequence[Change]) -> str:
     if end.found.missing or end.curves:
         return "missing_physics"
+    if end.more and not end.found.complete:
+        return "not_decidable"  # what explains it may be among what was not tried
     if end.more:
         return "unexplained_mismatch"
     return "parameter_change" if changed else "no_mismatch"

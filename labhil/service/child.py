@@ -86,6 +86,15 @@ class Child:
                 raise BusError(f"{self.name} said nothing for {timeout:g} s{self.complaint()}")
         return None
 
+    def next_line(self) -> str:
+        """Return the next line if it is there already, else nothing; does not wait."""
+        with contextlib.suppress(queue.Empty):
+            line = self._lines.get_nowait()
+            if line is not None:
+                return line
+            self._lines.put(None)  # the end is for whoever waits, too
+        return ""
+
     def complaint(self) -> str:
         """Return the last line of what the child wrote to its standard error, for a message of ours."""
         if self._errors.closed:

@@ -7,6 +7,7 @@ thread hangs.
 
 from __future__ import annotations
 
+import math
 import queue
 import time
 from collections.abc import Callable
@@ -34,7 +35,7 @@ from labhil.service.lease import Lease
 from labhil.service.limits import SampleLimits
 from labhil.service.messages import HostConfig, HostState, Setpoint
 from labhil.service.output import Clock, Output
-from labhil.service.reconnect import Continuation, Search, refuse_another
+from labhil.service.reconnect import GIVE_UP, Continuation, Search, refuse_another
 from labhil.signals import Batch
 
 READ_TIMEOUT = 0.002
@@ -175,7 +176,7 @@ class DeviceControl:
         """Try to connect again, and answer meanwhile; raises what the last attempt did."""
         self._to_safety(HostState.RECONNECTING, f"{error}; looking for it again", "lost")
         lost_at = time.monotonic()
-        search = Search(self._driver)
+        search = Search(self._driver, math.inf if self._config.patient else GIVE_UP)
         try:
             while (info := search.result(READ_TIMEOUT)) is None:
                 if self._ended() or self._shut_down_reason:

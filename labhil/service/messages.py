@@ -43,7 +43,8 @@ class HostConfig:
     """What a host needs to know; one line of JSON on its standard input.
 
     ``connect`` is the endpoint of a bus session to join; ``watchdog`` is in s of the host's clock;
-    ``reconnect`` lets it look for a device that it has lost.
+    ``reconnect`` lets it look for a device that it has lost; a ``patient`` one looks for as long as it lasts,
+    and for a device that is not there at the start, too.
     """
 
     device: str
@@ -54,6 +55,7 @@ class HostConfig:
     watchdog: float = WATCHDOG
     interlocks: Mapping[str, Interlock] = field(default_factory=dict)
     reconnect: bool = False
+    patient: bool = False
 
     def to_line(self) -> str:
         """Return the configuration as one line."""
@@ -67,6 +69,7 @@ class HostConfig:
             "watchdog": self.watchdog,
             "interlocks": {name: lock.model_dump() for name, lock in self.interlocks.items()},
             "reconnect": self.reconnect,
+            "patient": self.patient,
         }
         return json.dumps(data) + "\n"
 
@@ -84,6 +87,7 @@ class HostConfig:
             float(data["watchdog"]),
             {name: Interlock.model_validate(lock) for name, lock in data["interlocks"].items()},
             bool(data["reconnect"]),
+            bool(data.get("patient", False)),
         )
 
 
