@@ -124,6 +124,8 @@ class Recorder:
             self._subscription = subscribe(bus, ALL_STREAMS, self._receive)
         except BaseException:
             self._writer.abandon()
+            for begun in (self._writer.path, self._writer.part):
+                begun.unlink(missing_ok=True)  # nothing is in it, and it would look like a recording
             raise
         self._thread = threading.Thread(target=self._run, name=f"record {path.name}")
         self._thread.start()
