@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from labhil.console import refuse_unwritable, status, tell, write_json
+from labhil.console import deliver, refuse_unwritable, status, tell
 
 RunOption = Annotated[
     int | None,
@@ -100,6 +100,4 @@ def recover(
     refuse_unwritable(json_path, out)
     result = save(broken, out, keep_doubtful=keep_doubtful)
     tell(result.lines())
-    if json_path is not None:
-        write_json(result.to_json(), json_path)
-    print(result.path)
+    deliver(result.to_json(), json_path, lambda: print(result.path))

@@ -111,7 +111,8 @@ class Diagnosis:
     parts of what was held out, and that the parts between were searched; ``shorter`` are scores before and
     after on windows as short as the search's, where the answer only shows on those. ``collapsed`` are sizes
     of the rig that the baseline alone takes far from what is known of them. ``curve`` is the
-    strongest one, ``further_curves`` are those of an arm's other joints.
+    strongest one, ``further_curves`` are those of an arm's other joints. ``complete`` is False where it was
+    ended early, with the best so far.
     """
 
     verdict: str
@@ -141,6 +142,7 @@ class Diagnosis:
     shorter: tuple[Score, Score] | None = None
     collapsed: tuple[Collapsed, ...] = ()
     wider: bool = False
+    complete: bool = True
 
     @property
     def named(self) -> list[str]:

@@ -26,7 +26,8 @@ from labhil.diagnose.search import onward, search
 from labhil.diagnose.timing import all_faults
 from labhil.diagnose.unmodelled import Unmodelled
 from labhil.diagnose.wider import adds_beyond_doubt, goes_elsewhere, searched_and_kept
-from labhil.identify.fitted import Fitted, climb, start_theta
+from labhil.ending import EndedEarly, accept
+from labhil.identify.fitted import Fitted, climb, fit_briefly, start_theta
 from labhil.identify.noise import lasting_noise
 from labhil.identify.score import Score, score, with_forces
 from labhil.identify.statistics import Estimate, stated, with_error
@@ -70,8 +71,7 @@ def diagnose(
     searched, held_out, sigma = data.search, data.test, data.sigma
     progress(f"fitting the baseline: {', '.join(baseline)}")
     terms = [term.key for term in terms_named(model, baseline)]
-    base = fit_baseline(data, terms)
-    data, base = _with_lasting_noise(data, base)
+    data, base, ended_early = _baseline(data, terms)
     whole = searched if measured is None else measured
     faults = all_faults(model, whole)
     if not usable(whole, faults).fit:
@@ -80,11 +80,12 @@ def diagnose(
     if not _excited(searched, sigma):
         reason = "neither input nor output moves beyond the noise"
         return _unsearched(data, base, "not_decidable", reason, faults, heldout_is_test, began)
+    if ended_early:
+        reason = "ended early, before anything was searched"
+        stated = _unsearched(data, base, "not_decidable", reason, faults, heldout_is_test, began)
+        return replace(stated, complete=False)
     look = partial(_found, terms=terms, reference=reference, accepted=accepted, progress=progress)
-    data, answer, left = _looked_wider(data, look(data, base), look, progress)
-    # sizes that were kept near nominal stay there
-    data = replace(data, model=answer.final.problem.model)
-    end = concluded(data, answer, left, progress)
+    end = _concluded(data, look(data, base), look, progress)
     found, curves, told, claimed = end.found, end.curves, strongest(end.curves), end.doubts
     final = _rows(found, curves, accepted)
     changed = _changes(final, reference, accepted)
@@ -121,7 +122,39 @@ def diagnose(
         seconds=time.perf_counter() - began,
         shorter=end.on_shorter_windows,
         wider=wider,
+        complete=found.complete,
     )
+
+
+def _baseline(data: Data, terms: Sequence[str]) -> tuple[Data, Fitted, bool]:
+    """The data and the baseline in units of its noise, and whether that was ended early."""
+    base: Fitted | None = None
+    try:
+        base = fit_baseline(data, terms)
+        return *_with_lasting_noise(data, base), False
+    except EndedEarly:
+        accept()
+    if base is None:
+        window, begin = data.window, data.begin
+        base = fit_briefly(data.model, data.search, terms, window, data.sigma, begin, fresh=True)
+    return data, base, True
+
+
+def _concluded(
+    data: Data, found: Found, look: Callable[[Data, Fitted], Found], progress: Callable[[str], None]
+) -> Concluded:
+    """The end of a diagnosis; of one that is ended early, what its first search found."""
+    try:
+        if found.complete:
+            data, found, left = _looked_wider(data, found, look, progress)
+            # sizes that were kept near nominal stay there
+            data = replace(data, model=found.final.problem.model)
+            return concluded(data, found, left, progress)
+    except EndedEarly:
+        accept()
+    found = replace(found, complete=False)
+    data = replace(data, model=found.final.problem.model)
+    return concluded(data, found, left_by(data, found.final), progress)
 
 
 def _found(
@@ -134,14 +167,22 @@ def _found(
     progress: Callable[[str], None],
 ) -> Found:
     """Search once; with values of the user's own sizes, once more with these held."""
-    found = _with_credible_sizes(data, search(data, base, progress), progress)
-    found = with_load(data, found, accepted)
-    sizes = _sizes(data.model, reference) if reference is not None and not found.errors else frozenset()
-    if not sizes:
-        return found
-    progress("the same with the sizes of the given model held")
-    held = replace(data, held=sizes)
-    return _simpler(found, search(held, fit_baseline(held, terms), progress))
+    found = search(data, base, progress)
+    try:
+        if not found.complete:
+            return found
+        found = _with_credible_sizes(data, found, progress)
+        found = with_load(data, found, accepted)
+        sizes = _sizes(data.model, reference) if reference is not None and not found.errors else frozenset()
+        if not sizes:
+            return found
+        progress("the same with the sizes of the given model held")
+        held = replace(data, held=sizes)
+        again = search(held, fit_baseline(held, terms), progress)
+    except EndedEarly:
+        accept()
+        return replace(found, complete=False)
+    return _simpler(found, again) if again.complete else replace(found, complete=False)
 
 
 def _with_credible_sizes(data: Data, found: Found, progress: Callable[[str], None]) -> Found:
@@ -161,6 +202,8 @@ def _with_credible_sizes(data: Data, found: Found, progress: Callable[[str], Non
     progress(f"the same with {', '.join(size.key for size in lost)} near nominal")
     found = replace(found, collapsed=lost)
     credible = search(near, baseline, progress)
+    if not credible.complete:
+        return replace(found, complete=False)
     if not credible.missing or not _far_likelier(
         credible.final, _onward_like(near, found.final, credible.final)
     ):
@@ -194,6 +237,8 @@ def _looked_wider(
     wider = replace(data, search=searched, test=kept, sigma=sigma, test_sigma=test_sigma, first=data)
     wider, base = _with_lasting_noise(wider, fit_baseline(wider, found.baseline.terms))
     again = look(wider, base)
+    if not again.complete:
+        return data, replace(found, complete=False), left
     left_then = left_by(wider, again.final)
     if again.missing:
         more = goes_elsewhere(data) and adds_beyond_doubt(found.missing, again.missing)
@@ -315,6 +360,8 @@ def _suffices(end: Concluded, verdict: str) -> float:
 def _verdict(end: Concluded, changed: Sequence[Change]) -> str:
     if end.found.missing or end.curves:
         return "missing_physics"
+    if end.more and not end.found.complete:
+        return "not_decidable"  # what explains it may be among what was not tried
     if end.more or end.found.collapsed:
         return "unexplained_mismatch"
     return "parameter_change" if changed else "no_mismatch"

@@ -43,6 +43,7 @@ class Found:
     """Where a search ended; ``errors`` are standard errors by key that its fits by themselves cannot know.
 
     ``collapsed`` are sizes of the rig that gave way in the baseline.
+    ``complete`` is False where it was ended early, with the best so far.
     """
 
     baseline: Fitted
@@ -53,6 +54,7 @@ class Found:
     looks: int
     errors: Mapping[str, float] = field(default_factory=dict)
     collapsed: tuple[Collapsed, ...] = ()
+    complete: bool = True
 
     @property
     def nothing(self) -> Found:

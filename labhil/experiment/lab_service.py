@@ -9,16 +9,19 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from labhil.bus.publish import publish_event
 from labhil.bus.register import registered
 from labhil.bus.session import Bus
-from labhil.errors import LabhilError, RunStoppedError, UsageError
+from labhil.errors import BusError, LabhilError, RunStoppedError, UsageError
 from labhil.experiment.devices import end_hosts, host_config
 from labhil.experiment.experiment import TWIN, RecordSection
 from labhil.experiment.lab import Lab
 from labhil.experiment.plan import DevicePlan, device_plan
+from labhil.experiment.remote import offer_status
 from labhil.experiment.result import free_path
 from labhil.experiment.twins import start_twin
 from labhil.host_clock import session_clock, unix_ns
@@ -49,6 +52,7 @@ class LabService:
         names = [plan.name for plan in self._plans]
         reachable = registered(LAB, self._lab.lab.name, self._bus.endpoint, names)
         with session_clock(), ExitStack() as twins, reachable:
+            offer_status(self._bus, self._status, twins)
             try:
                 self._record()
                 for plan in self._plans:
@@ -67,10 +71,13 @@ class LabService:
             address = plan.section.address
             if address == TWIN:
                 address = self._start_twin(plan, twins, ended)
-            host = HostProcess(host_config(plan, address, self._bus.endpoint))
+            patient = plan.section.reconnect
+            host = HostProcess(replace(host_config(plan, address, self._bus.endpoint), patient=patient))
             self._hosts[plan.name] = host
-            host.wait_connected(ended)
-            self._say(f"{plan.name}: {plan.section.plugin} at {address} is up")
+            if host.wait_or_absent(ended) is None:
+                self._say(f"{plan.name}: {host.absent}; it is looked for as long as this service lasts")
+            else:
+                self._say_up(plan.name)
         except RunStoppedError:
             raise
         except LabhilError as error:
@@ -84,14 +91,40 @@ class LabService:
         return address
 
     def _look_after(self) -> None:
+        if deaf := self._bus.failure():
+            raise BusError(f"the service no longer hears everything: {deaf}")
         for name, host in list(self._hosts.items()):
-            failure = host.failure()
+            try:
+                if host.absent and host.has_come():
+                    self._say_up(name)
+                failure = host.failure()
+            except LabhilError as error:
+                failure = error
             if failure is not None:
                 self._lose(name, failure)
-        if self._recorder is not None and self._recorder.failure is not None:
-            raise self._recorder.failure
+        if self._recorder is not None:
+            self._recorder.check()
         if self._recorder is not None and time.monotonic() - self._began > self._lab.lab.roll:
             self._record()
+
+    def _say_up(self, name: str) -> None:
+        config = self._hosts[name].config
+        self._say(f"{name}: {config.plugin} at {config.address} is up")
+
+    def _status(self) -> dict[str, Any]:
+        """What is answered to whoever asks how this lab stands."""
+        hosts = dict(self._hosts)
+        absent = {name: host.absent for name, host in hosts.items() if host.absent}
+        return {
+            "state": "serving",
+            "reason": "",
+            "name": self._lab.lab.name,
+            "devices": [plan.name for plan in self._plans],
+            "up": [name for name in hosts if name not in absent],
+            "absent": absent,
+            "failed": {name: str(error) for name, error in self.failed.items()},
+            "path": None if self._recorder is None else str(self._recorder.summary().path),
+        }
 
     def _lose(self, name: str, error: LabhilError) -> None:
         """Go on without a device; raises its error where it was the last one."""

@@ -9,15 +9,23 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from labhil.bus.authentication import Refusals
 from labhil.bus.latch import read_latch
 from labhil.bus.publish import publish_event
 from labhil.bus.register import registered
 from labhil.bus.session import Bus, open_bus
-from labhil.errors import CommandRefusedError, EmergencyStopError, LabhilError, RunStoppedError, UsageError
+from labhil.errors import (
+    BusError,
+    CommandRefusedError,
+    EmergencyStopError,
+    LabhilError,
+    RunStoppedError,
+    UsageError,
+)
 from labhil.experiment.control import RunControl, RunState
 from labhil.experiment.devices import Devices, host_config
 from labhil.experiment.experiment import TWIN, Experiment
@@ -43,6 +51,8 @@ __all__ = [
 PROGRESS_INTERVAL = 0.1
 AFTER_EMERGENCY_STOP = 2.0
 """How long hosts stay after an emergency stop, s."""
+LONGEST_HOLDER = 200
+"""Characters of a run's name that stand with the lease."""
 COMING_TO_REST = 0.5
 """How long what moves along a path is recorded after it was told to stop, s."""
 
@@ -97,6 +107,7 @@ class _Run:
         self._bus: Bus | None = None
         self._devices: Devices | None = None
         self._goes_on_alone = False
+        self._refusals = Refusals(lambda text: self._publish("rejected", text))
 
     def run(self) -> RunResult:
         with ExitStack() as twins:
@@ -117,7 +128,7 @@ class _Run:
         section = self._plan.experiment.experiment
         with (
             registered("run", section.name, bus.endpoint, names),
-            offer_control(bus, self._control, self._describe),
+            offer_control(bus, self._control, self._describe, self._refusals),
         ):
             yield
 
@@ -131,7 +142,9 @@ class _Run:
             on_failure=self._control.changed.set,
         )
         name = f"run {self._plan.experiment.experiment.name}"
-        self._devices = devices = Devices(bus, name, self._plan.duration, self._control.changed)
+        self._devices = devices = Devices(
+            bus, name[:LONGEST_HOLDER], self._plan.duration, self._control.changed, self._refusals
+        )
         error: LabhilError | None = None
         reason = "all steps are done"
         with recorder, ExitStack() as subscriptions:
@@ -206,11 +219,20 @@ class _Run:
             self._control.changed.wait(PROGRESS_INTERVAL)
             self._control.changed.clear()
             self._look_at_requests()
-            if recorder.failure is not None:
-                raise recorder.failure
+            recorder.check()
             devices.look_after()
+            self._look_at_latch()
             self._wait_or_go_on(devices)
             self._report("")
+
+    def _look_at_latch(self) -> None:
+        """Hear the emergency stop without any device and without the bus, too."""
+        try:
+            standing = read_latch()
+        except (LabhilError, OSError):
+            return  # a directory that cannot be read is no stop; hosts look there as well
+        if standing is not None:
+            raise EmergencyStopError(standing.describe())
 
     def _look_at_requests(self) -> None:
         """Do what was asked for; raises _Enough or RunStoppedError where that is to end."""
@@ -289,7 +311,9 @@ class _Run:
         if self._bus is not None:
             state = self._control.state.value
             event = {"t_ns": unix_ns(), "kind": kind, "state": state, "message": message}
-            publish_event(self._bus, "run", event)
+            # a bus that is closed must not hide why the run ends
+            with suppress(BusError):
+                publish_event(self._bus, "run", event)
 
     def _report(self, message: str) -> None:
         elapsed, duration = self._elapsed(), self._plan.duration
@@ -305,6 +329,7 @@ class _Run:
             "duration": self._plan.duration,
             "devices": [device.name for device in self._plan.devices],
             "path": str(self._path),
+            "refused": dict(self._refusals.counts),
         }
 
     def _kept(self) -> Path | None:

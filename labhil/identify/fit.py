@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
+from labhil.ending import EndedEarly, accept
 from labhil.errors import UnknownNameError, UsageError
 from labhil.identify import statistics
 from labhil.identify.estimators import DEFAULT, INTERRUPTED, search
@@ -15,6 +16,7 @@ from labhil.identify.fitted import (
     Fitted,
     climb,
     covariances,
+    fit_briefly,
     fit_terms,
     free_of,
     longest_trusted,
@@ -100,7 +102,7 @@ class Fit:
     """A fitted model with its statistics; ``covariance`` (P, P) is the robust one, in SI units.
 
     ``residuals`` (N, channels) are those of the fitted windows, in units of noise; ``left`` is their size.
-    ``criterion`` is what was made small.
+    ``criterion`` is what was made small. ``complete`` is False where it was ended early.
     """
 
     terms: tuple[str, ...]
@@ -123,6 +125,7 @@ class Fit:
     input_crosscorrelation_p: float
     evaluations: int
     converged: bool
+    complete: bool = True
 
 
 def fit(
@@ -148,14 +151,39 @@ def fit(
     if Metric.INVERSE_DYNAMICS in (model.metric, how.criterion):
         inverse = by_inverse_dynamics(model)
         keys = tuple(term.key for term in terms_named(inverse, terms))
-        rungs, lengths = _regressed(inverse, inverse.prepare(record), keys, begin)
+        prepared = inverse.prepare(record)
+        try:
+            (rungs, lengths), complete = _regressed(inverse, prepared, keys, begin), True
+        except EndedEarly:  # linear: no way there is shorter
+            accept()
+            (rungs, lengths), complete = _regressed(inverse, prepared, keys, begin), False
     else:
         keys = tuple(term.key for term in terms_named(model, terms))
         lengths = [how.window] if how.window else _ladder(model, record)
-        rungs = _climbed(model, record, keys, lengths, noise_of(record), begin, () if start else keys, how)
+        rungs, complete = _climbed(
+            model, record, keys, lengths, noise_of(record), begin, () if start else keys, how
+        )
+    try:
+        if complete:
+            return _finished(model, rungs, lengths, record, test, how)
+    except EndedEarly:
+        accept()
+    quick = replace(how, intervals=Intervals.WALD)
+    return replace(_finished(model, rungs, lengths, record, test, quick), complete=False)
+
+
+def _finished(
+    model: Model,
+    rungs: Sequence[Fitted],
+    lengths: Sequence[float],
+    record: Record,
+    test: Record | None,
+    how: Options,
+) -> Fit:
+    """Statistics and scores of the fits on these ``lengths`` of windows (s); fewer where it ended early."""
     chosen = longest_trusted(rungs)
     how.progress(f"statistics and scores, intervals by {how.intervals}")
-    by_window = [_window_estimate(r, length) for r, length in zip(rungs, lengths, strict=True)]
+    by_window = [_window_estimate(r, length) for r, length in zip(rungs, lengths, strict=False)]
     table = table_of(rungs[chosen], how.intervals, how.simultaneous)
     scores = tuple(_scored(model, rungs[chosen].theta, r) for r in (record, test) if r is not None)
     return _finish(scores, rungs, chosen, by_window, table, how)
@@ -185,18 +213,34 @@ def _climbed(
     begin: FloatArray,
     fresh: Sequence[str],
     how: Options,
-) -> list[Fitted]:
-    """Fits on longer and longer windows, the longest trusted one settled in its lowest minimum."""
+) -> tuple[list[Fitted], bool]:
+    """Fits on longer and longer windows, the longest trusted one settled in its lowest minimum.
+
+    Also whether all of that was done: those that there are by then where it is ended early.
+    """
     how.progress(f"fitting {len(terms)} terms on windows of {', '.join(f'{x:.3g}' for x in lengths)} s")
-    first = _first_rung(model, record, terms, lengths, sigma, begin, fresh, how)
-    how.progress("looking for other minima")
-    first = over_shapes(first)
-    rungs = [first, *climb(model, record, terms, lengths[1:], sigma, start=first.theta, fresh=())]
-    how.progress("looking for lower minima on the longest trusted windows")
-    chosen = longest_trusted(rungs)
-    found = beside_rivals(rungs[chosen], first.rivals) if chosen else first
-    rungs[chosen] = settled(found)
-    return rungs
+    rungs: list[Fitted] = []
+    try:
+        rungs.append(_first_rung(model, record, terms, lengths, sigma, begin, fresh, how))
+        how.progress("looking for other minima")
+        rungs[0] = first = over_shapes(rungs[0])
+        longer: list[Fitted] = []
+        try:
+            climb(model, record, terms, lengths[1:], sigma, start=first.theta, fresh=(), reached=longer)
+        finally:
+            rungs += longer
+        how.progress("looking for lower minima on the longest trusted windows")
+        chosen = longest_trusted(rungs)
+        found = beside_rivals(rungs[chosen], first.rivals) if chosen else first
+        rungs[chosen] = settled(found)
+    except EndedEarly as early:
+        accept()
+        if not rungs:
+            start = begin if early.theta is None else early.theta
+            new = early.theta is None and bool(fresh)
+            rungs.append(fit_briefly(model, record, terms, lengths[0], sigma, start, fresh=new))
+        return rungs, False
+    return rungs, True
 
 
 def _regressed(
@@ -254,7 +298,11 @@ def _scouted(problem: Problem, begun: Callable[..., Fitted], how: Options) -> Fi
     for again in range(SEARCHES if how.estimator == DEFAULT else 1):
         how.progress(f"searching by {how.estimator}" + (", another seed" if again else ""))
         found = search(problem, how.estimator, seed=how.seed + again, progress=how.progress)
-        scouts.append(begun(start=found.theta, new_terms=(), hopeless=0.0))
+        try:
+            scouts.append(begun(start=found.theta, new_terms=(), hopeless=0.0))
+        except EndedEarly as early:
+            early.theta = scouts[0].theta if scouts else found.theta
+            raise
         least = sorted(scout.noise for scout in scouts)
         agreed = again and least[1] < CONFIRMED * least[0]
         if least[0] < EXPLAINED or agreed or found.found.stopped_because == INTERRUPTED:

@@ -22,6 +22,10 @@ FIRST_ITERATIONS, LED_ON = 3, 2
 """Steps from every start where there are many, and from how many of them a scout goes on."""
 
 
+BRIEF_ITERATIONS = 5
+"""Steps of a fit that is ended before it came to anything: a second or two, and far below its start."""
+
+
 @dataclass(frozen=True, slots=True)
 class Fitted:
     """A model's vector that was fitted on one cut into windows, with what led there.
@@ -190,14 +194,16 @@ def climb(
     start: FloatArray,
     fresh: Sequence[str],
     held: Collection[str] = (),
+    reached: list[Fitted] | None = None,
 ) -> list[Fitted]:
     """Fit on longer and longer windows (s), each from where the one before ended.
 
     Short windows lead to the neighbourhood whatever the start, long ones to the estimate. The terms
     ``fresh`` begin at each of their own starts on the first. What ends at a bound has lost its way (a mass,
-    on windows too short to show it) and begins once more.
+    on windows too short to show it) and begins once more. ``reached``, an empty list, is filled on the way:
+    it holds what there is when the fit is ended early.
     """
-    rungs: list[Fitted] = []
+    rungs: list[Fitted] = [] if reached is None else reached
     for length in lengths:
         begin = rungs[-1].theta if rungs else start
         fit = partial(
@@ -237,3 +243,33 @@ def settled(fitted: Fitted) -> Fitted:
     spread = directions * np.sqrt(np.clip(variances, 0.0, 1.0))
     solution = settle(fitted.problem, fitted.solution, spread)
     return replace(fitted, theta=fitted.problem.theta(solution.point.z), solution=solution)
+
+
+def fit_briefly(
+    model: Model,
+    record: Record,
+    terms: Sequence[str],
+    window: float,
+    sigma: FloatArray,
+    start: FloatArray,
+    *,
+    fresh: bool,
+) -> Fitted:
+    """A few steps from one start: what there is where a fit is ended before it came to anything.
+
+    ``fresh`` terms begin at the first of their own starts, else all begin at ``start``.
+    """
+    new = terms_named(model, terms) if fresh else ()
+    starts = starts_of(model, new, record)[:1] if new else [{}]
+    return fit_terms(
+        model,
+        record,
+        terms,
+        window,
+        sigma,
+        start=start,
+        starts=starts,
+        iterations=BRIEF_ITERATIONS,
+        thorough=False,
+        shapes=False,
+    )

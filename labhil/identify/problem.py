@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
+from labhil.ending import checkpoint
 from labhil.identify.rounding import telling_share
 from labhil.identify.windows import noise_at
 from labhil.physics.model import Model, Record, Windows
@@ -121,6 +122,7 @@ class Problem:
 
     def residuals_at(self, theta: FloatArray, states: FloatArray) -> FloatArray:
         """The same at a whole vector ``theta`` and the windows' ``states``, (N·c,)."""
+        checkpoint()
         self.evaluations += 1
         # a plant that runs away is wrong by enough; its square must still be a number
         with np.errstate(over="ignore"):

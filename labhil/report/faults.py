@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rich.console import Console
-from rich.text import Text
-
 from labhil.diagnose.fault import Fault, Kind
 
 HARMLESS = (Kind.GAP, Kind.NO_EXCITATION)
@@ -23,9 +20,3 @@ def fault_lines(faults: Sequence[Fault]) -> list[str]:
             "! The values below are fitted to these data as they are: do not rely on their intervals."
         )
     return lines
-
-
-def show_faults(faults: Sequence[Fault], console: Console) -> None:
-    """Print the faults of the data; nothing where there are none."""
-    for line in fault_lines(faults):
-        console.print(Text(line, style="bold red"))

@@ -81,6 +81,7 @@ def fit_json(
             "window": fit.window,
             "by_window": [asdict(rung) for rung in fit.by_window],
             "converged": fit.converged,
+            "complete": fit.complete,
             "evaluations": fit.evaluations,
             "seconds": seconds,
         },
@@ -142,6 +143,7 @@ def diagnosis_json(diagnosis: Diagnosis, sources: Sequence[Source]) -> Any:
             "final": {"terms": list(diagnosis.final_terms), "parameters": _rows(diagnosis.final)},
             "curve": None if diagnosis.curve is None else _curve(diagnosis.curve),
             "further_curves": [_curve(curve) for curve in diagnosis.further_curves],
+            "complete": diagnosis.complete,
             "seconds": diagnosis.seconds,
         },
     )

@@ -29,6 +29,8 @@ class RecordedStream:
     stream: str
     number: int | None = None
     waiting: list[bytes] = field(default_factory=list)
+    size: int = 0
+    """Bytes that wait while nobody has said what they are."""
     asked_at: float = float("-inf")
     trouble: str = ""
     samples: int = 0

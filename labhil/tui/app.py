@@ -170,7 +170,14 @@ class LabApp(App[None]):
         if self.standing and self.tab == "live" and len(self.screen_stack) == 1 and self._pace.due():
             self.base.query_one(LivePane).draw()
 
+    def _end_unseen_run(self) -> None:
+        """End the run of this screen where the screen no longer sees what its devices do."""
+        blind = self.lab.failure() if self.runner.active and self.runner.state != "aborting" else ""
+        if blind:
+            self.runner.ask("abort", f"the terminal UI no longer sees the devices: {blind}"[:200])
+
     def _show_facts(self) -> None:
+        self._end_unseen_run()
         if not self.standing:
             return
         self._look_at_latch()

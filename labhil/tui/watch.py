@@ -6,7 +6,6 @@ lease). The screen reads snapshots when it draws; no sample ever becomes a messa
 
 from __future__ import annotations
 
-import json
 import threading
 import time
 from collections import deque
@@ -14,11 +13,19 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
 from labhil.bus.ask import ask
+from labhil.bus.incoming import (
+    LARGEST_SCHEMA,
+    EventMessage,
+    SchemaMessage,
+    StreamDeclaration,
+    parse,
+    validate,
+)
 from labhil.bus.keys import ALL_SCHEMAS, ALL_STREAMS, EVENT, SETPOINT, command_key, schema_key, split_key
 from labhil.bus.live import live_devices
 from labhil.bus.session import Bus
@@ -44,7 +51,16 @@ ASK_TIMEOUT = 0.5
 MOST_ROWS = 65536
 MOST_EVENTS = 200
 
-UNEXPLAINED = (ProtocolError, LookupError, AttributeError, TypeError, ValueError)
+MOST_DEVICES = 1000
+UNEXPLAINED = (
+    ProtocolError,
+    CommandRefusedError,
+    LookupError,
+    AttributeError,
+    TypeError,
+    ValueError,
+    ArithmeticError,
+)
 """A stream that is not what it says must not hide the others."""
 
 COMMAND_STREAM = "command"
@@ -184,7 +200,7 @@ class Watch:
         with ExitStack() as resources:
             resources.enter_context(subscribe(self.bus, ALL_SCHEMAS, self._take_schemas))
             resources.enter_context(subscribe(self.bus, ALL_STREAMS, self._take))
-            asking = threading.Thread(target=self._ask_around, name="ask devices")
+            self._asking = asking = threading.Thread(target=self._ask_around, name="ask devices")
             asking.start()
             resources.callback(asking.join)
             resources.callback(self._ending.set)
@@ -221,6 +237,12 @@ class Watch:
             found = self._devices.get(device)
             return None if found is None else found.streams.get(stream)
 
+    def failure(self) -> str:
+        """Return why what is shown is news no more, though nobody closed this; empty while all is well."""
+        if not self._ending.is_set() and not self._asking.is_alive():
+            return "the thread that asks the devices has died"
+        return self.bus.failure()
+
     @property
     def alive(self) -> bool:
         """Whether any host is there."""
@@ -231,7 +253,7 @@ class Watch:
 
     def _take_schemas(self, key: str, payloads: list[bytes]) -> None:
         try:
-            self._learn(*split_key(key), json.loads(payloads[-1]))
+            self._learn(*split_key(key), parse(SchemaMessage, payloads[-1], "a schema", LARGEST_SCHEMA))
         except UNEXPLAINED as error:
             self.trouble = f"{key}: {error}"
 
@@ -244,36 +266,44 @@ class Watch:
             watched = self.stream(device, stream)
             if watched is None:
                 with self._lock:
-                    self._unknown.setdefault((device, stream), float("-inf"))
+                    if len(self._unknown) < MOST_DEVICES:
+                        self._unknown.setdefault((device, stream), float("-inf"))
                 return
             try:
                 watched.take(payloads, time.monotonic(), time.time_ns())
             except UNEXPLAINED as error:
                 self.trouble = f"{key}: {error}"
 
-    def _learn(self, device: str, stream: str, reply: Mapping[str, Any]) -> None:
-        metadata = {str(name): str(value) for name, value in reply["metadata"].items()}
-        watched = StreamWatch(stream_from_json(reply["stream"]), float(metadata.get("speed", 1.0)), metadata)
+    def _learn(self, device: str, stream: str, reply: SchemaMessage) -> None:
+        parse(StreamDeclaration, reply.stream, "a stream", LARGEST_SCHEMA)
+        metadata = dict(reply.metadata)
+        speed = float(metadata.get("speed", 1.0))
+        if not 0 < speed < float("inf"):
+            raise ProtocolError(f"speed: expected a positive number, found {speed}")
+        watched = StreamWatch(stream_from_json(reply.stream), speed, metadata)
         with self._lock:
             self._device(device).streams[stream] = watched
             self._unknown.pop((device, stream), None)
 
     def _note(self, device: str, payload: bytes) -> None:
+        state = ""
         try:
-            body = json.loads(payload)
-            text = str(body.get("message") or body.get("reason") or body.get("text") or "")
-            said = Said(int(body["t_ns"]), device, str(body.get("kind", body.get("state", "note"))), text)
-        except (ValueError, KeyError, TypeError, AttributeError):
-            said = Said(time.time_ns(), device, "note", payload.decode("utf-8", "replace"))
-            body = {}
+            event = parse(EventMessage, payload, "an event")
+            text, state = event.message or event.reason or event.text, event.state
+            kind = state if event.kind == "note" and state else event.kind
+            said = Said(event.t_ns, device, kind, text)
+        except CommandRefusedError:
+            said = Said(time.time_ns(), device, "note", payload[:1000].decode("utf-8", "replace"))
         self.events.append(said)
         if device == "run":
             return
         with self._lock:
+            if device not in self._devices and len(self._devices) >= MOST_DEVICES:
+                return
             found = self._device(device)
             found.event = said
-            if "state" in body:
-                found.state, found.reason = str(body["state"]), said.message
+            if state:
+                found.state, found.reason = state, said.message
 
     def _device(self, name: str) -> _Device:
         return self._devices.setdefault(name, _Device())
@@ -284,7 +314,7 @@ class Watch:
         while not self._ending.wait(ASK_INTERVAL):
             try:
                 self._ask_once()
-            except BusError as error:
+            except (BusError, *UNEXPLAINED) as error:
                 self.trouble = str(error)
 
     def _ask_once(self) -> None:
@@ -306,8 +336,9 @@ class Watch:
 
     def _ask_schema(self, device: str, stream: str) -> None:
         try:
-            self._learn(device, stream, ask(self.bus, schema_key(device, stream), timeout=ASK_TIMEOUT))
-        except (BusError, CommandRefusedError, *UNEXPLAINED) as error:
+            reply = ask(self.bus, schema_key(device, stream), timeout=ASK_TIMEOUT)
+            self._learn(device, stream, validate(SchemaMessage, reply, "a schema"))
+        except (BusError, *UNEXPLAINED) as error:
             self.trouble = f"{device}/{stream}: {error}"
 
     def _ask_status(self, name: str, device: _Device) -> None:
@@ -317,7 +348,8 @@ class Watch:
             device.state, device.reason = "no answer", str(error)
             return
         device.state, device.reason = str(status.get("state", "unknown")), str(status.get("reason", ""))
-        device.holder = status.get("holder")
+        holder = status.get("holder")
+        device.holder = None if holder is None else str(holder)
 
 
 def _view(name: str, device: _Device, now: float) -> DeviceView:
