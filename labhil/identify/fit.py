@@ -10,6 +10,7 @@ import numpy as np
 
 from labhil.errors import UnknownNameError, UsageError
 from labhil.identify import statistics
+from labhil.identify.adequacy import Adequacy, adequacy_of
 from labhil.identify.estimators import DEFAULT, INTERRUPTED, search
 from labhil.identify.fitted import (
     Fitted,
@@ -17,16 +18,16 @@ from labhil.identify.fitted import (
     covariances,
     fit_terms,
     free_of,
-    longest_trusted,
     settled,
     start_theta,
+    trusted_rung,
 )
 from labhil.identify.identifiability import Identifiability, identifiability
 from labhil.identify.intervals import Intervals
 from labhil.identify.problem import Problem
 from labhil.identify.score import Score, score, with_forces
 from labhil.identify.shapes import beside_rivals, over_shapes
-from labhil.identify.table import ParameterTable, table_of
+from labhil.identify.table import ParameterTable, table_of, widened
 from labhil.identify.windows import fit_windows, noise_of, told_apart
 from labhil.physics.model import Metric, Model, Record, terms_named
 from labhil.physics.rigs import by_inverse_dynamics
@@ -62,8 +63,8 @@ class WindowEstimate:
 class Options:
     """How a fit is made.
 
-    ``window`` (s) is the length of the fitted windows; by default the longest of a ladder whose residuals
-    have not grown: where noise drives the plant itself, long windows bias the estimates. ``intervals``
+    ``window`` (s) is the length of the fitted windows; by default one of a ladder, see
+    ``fitted.trusted_rung``. ``intervals``
     says how they are made; ``simultaneous`` ones hold for all parameters together. ``estimator`` is one
     of ``estimators.ESTIMATORS``, ``seed`` that of its draws. ``criterion`` is what is made small; scores
     are by the model's own metric whatever it is.
@@ -100,7 +101,8 @@ class Fit:
     """A fitted model with its statistics; ``covariance`` (P, P) is the robust one, in SI units.
 
     ``residuals`` (N, channels) are those of the fitted windows, in units of noise; ``left`` is their size.
-    ``criterion`` is what was made small.
+    ``criterion`` is what was made small. ``adequacy`` says whether it explains the data; where it does not,
+    errors and covariance hold the spread of the estimates over the lengths of the windows.
     """
 
     terms: tuple[str, ...]
@@ -119,6 +121,7 @@ class Fit:
     simultaneous: bool
     train: Score
     test: Score | None
+    adequacy: Adequacy
     ljung_box_p: float
     input_crosscorrelation_p: float
     evaluations: int
@@ -149,11 +152,12 @@ def fit(
         inverse = by_inverse_dynamics(model)
         keys = tuple(term.key for term in terms_named(inverse, terms))
         rungs, lengths = _regressed(inverse, inverse.prepare(record), keys, begin)
+        chosen = 0
     else:
         keys = tuple(term.key for term in terms_named(model, terms))
         lengths = [how.window] if how.window else _ladder(model, record)
-        rungs = _climbed(model, record, keys, lengths, noise_of(record), begin, () if start else keys, how)
-    chosen = longest_trusted(rungs)
+        fresh = () if start else keys
+        rungs, chosen = _climbed(model, record, keys, lengths, noise_of(record), begin, fresh, how)
     how.progress(f"statistics and scores, intervals by {how.intervals}")
     by_window = [_window_estimate(r, length) for r, length in zip(rungs, lengths, strict=True)]
     table = table_of(rungs[chosen], how.intervals, how.simultaneous)
@@ -185,18 +189,18 @@ def _climbed(
     begin: FloatArray,
     fresh: Sequence[str],
     how: Options,
-) -> list[Fitted]:
-    """Fits on longer and longer windows, the longest trusted one settled in its lowest minimum."""
+) -> tuple[list[Fitted], int]:
+    """Fits on longer and longer windows, and which is the answer; that one settled in its lowest minimum."""
     how.progress(f"fitting {len(terms)} terms on windows of {', '.join(f'{x:.3g}' for x in lengths)} s")
     first = _first_rung(model, record, terms, lengths, sigma, begin, fresh, how)
     how.progress("looking for other minima")
     first = over_shapes(first)
     rungs = [first, *climb(model, record, terms, lengths[1:], sigma, start=first.theta, fresh=())]
     how.progress("looking for lower minima on the longest trusted windows")
-    chosen = longest_trusted(rungs)
+    chosen = trusted_rung(rungs, lengths, model.horizon)
     found = beside_rivals(rungs[chosen], first.rivals) if chosen else first
     rungs[chosen] = settled(found)
-    return rungs
+    return rungs, chosen
 
 
 def _regressed(
@@ -299,6 +303,10 @@ def _finish(
     residuals = fitted.solution.residuals.reshape(-1, len(problem.sigma))
     inputs, begins = problem.record.inputs[problem.windows.rows, 0], problem.begins
     values = fitted.theta[problem.free]
+    adequacy = adequacy_of(scores)
+    if not adequacy.explained:
+        others = [rung for k, rung in enumerate(by_window) if k != chosen]
+        table = widened(table, parameters, [rung.values for rung in others], [r.std_errors for r in others])
     return Fit(
         terms=fitted.terms,
         estimates=table.rows,
@@ -312,6 +320,7 @@ def _finish(
         left=_left(fitted),
         criterion=problem.model.metric,
         fitted=fitted,
+        adequacy=adequacy,
         intervals=how.intervals,
         simultaneous=how.simultaneous,
         train=scores[0],
