@@ -119,7 +119,8 @@ def fit(
     with status() as say:
         options = Options(window, method, simultaneous, estimator_named(estimator), seed, say, small)
         result = fit_study(material, terms=split_names(names), start=model, options=options)
-    show_fit(result.fit, results_console(), [*material.numbered(), *material.notes(), *curve_note(model)])
+    lines = [*material.doubts(), *material.numbered(), *material.notes(), *curve_note(model)]
+    show_fit(result.fit, results_console(), lines)
     if json_path is not None:
         write_json(result.json, json_path)
     if plot is not None:
@@ -163,9 +164,8 @@ def diagnose(
     tell(material.losses())
     with status() as say:
         result = diagnose_study(material, baseline=split_names(baseline), reference=model, progress=say)
-    show_diagnosis(
-        result.diagnosis, results_console(), [*material.numbered(), *material.notes(), *curve_note(model)]
-    )
+    lines = [*material.doubts(), *material.numbered(), *material.notes(), *curve_note(model)]
+    show_diagnosis(result.diagnosis, results_console(), lines)
     if json_path is not None:
         write_json(result.json, json_path)
     if plot is not None:

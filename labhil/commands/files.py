@@ -32,7 +32,26 @@ def import_(
 
     table = import_table(data, load_rig(rig))
     tell(describe_import(table))
-    print(write_import(table, out))
+    path = write_import(table, out)
+    tell(_doubts(path))
+    print(path)
+
+
+def _doubts(path: Path) -> list[str]:
+    """What the physics of the rig calls implausible; nothing of a recording that lacks what a model needs."""
+    from labhil.errors import LabhilError
+    from labhil.identify.plausibility import doubts_of
+    from labhil.physics.rigs import record_of
+    from labhil.recording.reader import read_recording
+
+    recording = read_recording(path)
+    if recording.rig is None:
+        return []
+    try:
+        record = record_of(recording, recording.rig.kind)
+        return [doubt.statement for doubt in doubts_of(record, recording.rig)]
+    except LabhilError:
+        return []
 
 
 def export(

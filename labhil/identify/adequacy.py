@@ -41,8 +41,8 @@ class FitVerdict(StrEnum):
 class Adequacy:
     """The answer of the gate.
 
-    ``residual_over_noise`` maps channels (with the joint, as ``keyed``) to the ratio; ``worst`` is the channel
-    with the largest of these, ``r2`` the smallest R² of any channel that is not explained, a fraction (not a
+    ``residual_over_noise`` maps channels (with the joint, as ``keyed``) to the ratio; ``worst`` is the one
+    with the largest, ``r2`` the smallest R² of any channel that is not explained, a fraction (not a
     number where there is none).
     """
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from labhil.errors import RecordingError, UsageError
+from labhil.identify.plausibility import doubts_of
 from labhil.identify.windows import FEWEST_SAMPLES, split
 from labhil.physics.arm import ArmModel
 from labhil.physics.model import Model, Record, joined
@@ -69,6 +70,10 @@ class Material:
             names = ", ".join(self.learn.input_names)
             told.append(f"No input changes ({names}): only what the rig does by itself can be learnt.")
         return told
+
+    def doubts(self) -> list[str]:
+        """What the physics of the rig calls implausible: units, signs, times or columns; a text each."""
+        return [doubt.statement for doubt in doubts_of(self.measured, self.rig)]
 
     def numbered(self) -> list[str]:
         """What the numbers of several recordings stand for, a line each; nothing of one."""

@@ -76,7 +76,7 @@ def fit_study(
     seconds = time.perf_counter() - began
     sources = material.sources("train")
     data = fit_json(result, sources, model.kind, how.estimator, how.seed, seconds, curves_json(model))
-    return FitResult(result, material, data)
+    return FitResult(result, material, {**data, "doubts": material.doubts()})
 
 
 def _with_own(model: Model, terms: Sequence[str], *, stated: bool) -> tuple[str, ...]:

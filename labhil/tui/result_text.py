@@ -60,6 +60,8 @@ def fit_text(fit: FitPart, colours: Colours) -> RenderableType:
     if fit.statement is not None:
         colour = colours["success" if fit.verdict == "explained" else "warning"]
         head.append(f"{fit.statement}\n", style=f"bold {colour}")
+    for doubt in fit.doubts:
+        head.append(f"▲ {doubt}\n", style=colours["warning"])
     head.append(f"R² {percent(score.r2)}", style=f"bold {colours['success']}")
     head.append(f" on {on}\n")
     head.append(

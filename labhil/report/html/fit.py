@@ -80,7 +80,7 @@ def _lead(fit: FitPart) -> tuple[Content, ...]:
     )
     terms = tag("p", "Terms: ", names(fit.terms), ".", class_="lead")
     unsettled = None if fit.converged else warning("The search stopped before it had settled.")
-    return terms, unsettled, _incomplete(fit), figures
+    return terms, *map(warning, fit.doubts), unsettled, _incomplete(fit), figures
 
 
 def _incomplete(fit: FitPart) -> Markup | None:

@@ -142,6 +142,7 @@ class FitPart(Part):
     seed: int = 0
     verdict: Literal["explained", "unexplained", "worse_than_mean"] | None = None
     residual_over_noise: dict[str, Number] = {}
+    doubts: tuple[str, ...] = ()
     terms: tuple[str, ...]
     parameters: tuple[ParameterRow, ...]
     covariance: tuple[tuple[Number, ...], ...] = ()
