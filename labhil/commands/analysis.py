@@ -119,7 +119,7 @@ def fit(
     with status() as say:
         options = Options(window, method, simultaneous, estimator_named(estimator), seed, say, small)
         result = fit_study(material, terms=split_names(names), start=model, options=options)
-    lines = [*material.doubts(), *material.numbered(), *material.notes(), *curve_note(model)]
+    lines = [*result.doubts, *material.numbered(), *material.notes(), *curve_note(model)]
     show_fit(result.fit, results_console(), lines)
     if json_path is not None:
         write_json(result.json, json_path)
@@ -164,7 +164,7 @@ def diagnose(
     tell(material.losses())
     with status() as say:
         result = diagnose_study(material, baseline=split_names(baseline), reference=model, progress=say)
-    lines = [*material.doubts(), *material.numbered(), *material.notes(), *curve_note(model)]
+    lines = [*result.doubts, *material.numbered(), *material.notes(), *curve_note(model)]
     show_diagnosis(result.diagnosis, results_console(), lines)
     if json_path is not None:
         write_json(result.json, json_path)

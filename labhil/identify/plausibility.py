@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from math import inf, log, pi
+from math import log, pi
 
 import numpy as np
 
@@ -70,32 +70,37 @@ class Doubt:
     lines: tuple[str, ...]
 
 
-def doubts_of(record: Record, rig: RigFile) -> tuple[Doubt, ...]:
+def doubts_of(record: Record, rig: RigFile, *, misfit: bool = False) -> tuple[Doubt, ...]:
     """Hold each recording of a record against the physics of its rig.
 
     Args:
         record: As it was measured, in what are meant to be SI units.
         rig: Its rig file: what is known, and how columns became channels.
+        misfit: Whether a model does not explain it: then a swap of two columns is proposed, too, where no
+            fact is violated but more can be compared after it, and all of that is as it should be.
 
     Returns:
         One doubt for each recording with an implausible figure; none for right data.
     """
     several = len(record.begins) > 1
-    found = [doubt for each in record.recordings() if (doubt := _doubt(each, rig)) is not None]
+    found = [doubt for each in record.recordings() if (doubt := _doubt(each, rig, misfit)) is not None]
     return tuple(
         replace(doubt, statement=f"Recording {number}: {doubt.statement}") if several else doubt
         for number, doubt in enumerate(found, 1)
     )
 
 
-def _doubt(record: Record, rig: RigFile) -> Doubt | None:
+def _doubt(record: Record, rig: RigFile, misfit: bool) -> Doubt | None:
     if len(record) < FEWEST or not _finite(record):
         return None
     facts = _facts(record, rig)
     wrong = [fact for fact in facts if not fact.holds()]
-    if not wrong:
+    if not wrong and not misfit:
         return None
     reasons = "; ".join(_complaint(fact) for fact in wrong)
+    reasons = (
+        reasons or "the model does not explain them as they are, and all that is known fits after a swap"
+    )
     explained = _explanations(facts, _units(record, rig), rig)
     turned = bool(explained) and all(slip.factor < 0.0 for slip in explained[0])
     swapped = () if turned else _swapped(record, rig, facts)
@@ -105,6 +110,8 @@ def _doubt(record: Record, rig: RigFile) -> Doubt | None:
         pairs = ((one, _channel(rig, other)) for one, other in (swapped, swapped[::-1]))
         lines = tuple(_written(name, channel) for name, channel in pairs)
         return Doubt(f"The columns of {named} look swapped. {_advice([lines])} Why: {reasons}.", lines)
+    if not wrong:
+        return None
     if not explained:
         return Doubt(f"Implausible: {reasons}. Check units, signs and the order of the columns.", ())
     options = [tuple(_line(rig, slip) for slip in slips) for slips in explained]
@@ -183,10 +190,14 @@ def _far(value: float, typical: float | None) -> float:
 
 
 def _swapped(record: Record, rig: RigFile, facts: Sequence[Fact]) -> tuple[str, str] | tuple[()]:
-    """The only two signals without a violated fact after a swap, of which as much is compared as before."""
+    """The only two signals without a violated fact after a swap; nothing where there is not just one pair.
+
+    As much has to be compared as before, and more where no fact was violated before.
+    """
     if any(record.channel(j)[1] is not None for j in range(len(record.output_names))):
         return ()
-    needed = max(sum(fact.dynamic for fact in facts), 1)
+    needed = sum(fact.dynamic for fact in facts)
+    needed = max(needed + all(fact.holds() for fact in facts), 1)
     found = []
     for one, other in combinations([*record.input_names, *record.output_names], 2):
         swapped = _facts(_with_swapped(record, one, other), rig)
@@ -210,13 +221,8 @@ def _with_swapped(record: Record, one: str, other: str) -> Record:
 
 def _complaint(fact: Fact) -> str:
     unit = f" {fact.unit}" if fact.unit else ""
-    low, high = fact.low, fact.high
-    if low == -inf:
-        wanted = f"at most {high:.3g}{unit}"
-    elif high == inf:
-        wanted = f"more than {low:.3g}{unit}"
-    else:
-        wanted = f"{low:.3g} to {high:.3g}{unit}"
+    over = fact.value > fact.high
+    wanted = f"at most {fact.high:.3g}{unit}" if over else f"more than {fact.low:.3g}{unit}"
     return f"{fact.what} is {fact.value:.4g}{unit}, expected {wanted} ({fact.because})"
 
 

@@ -26,9 +26,9 @@ def facts(record: Record, known: Mapping[str, float]) -> list[Fact]:
     q, qd = _joints(record, "actual_q"), _joints(record, "actual_qd")
     return [
         rate_fact(record, 1.0, 1e4),
-        size_fact("actual_q", "rad", q[:, :-1], FARTHEST, "a joint reaches one turn each way"),
-        size_fact("actual_qd", "rad/s", qd, FASTEST, "a joint turns once a second at most"),
-        size_fact("actual_current", "A", record.outputs, STRONGEST, "a joint's motor takes less"),
+        size_fact("actual_q", "rad", q[:, :-1], FARTHEST, 1.5, "a joint reaches one turn each way"),
+        size_fact("actual_qd", "rad/s", qd, FASTEST, 1.0, "a joint turns once a second at most"),
+        size_fact("actual_current", "A", record.outputs, STRONGEST, 5.0, "a joint's motor takes less"),
         *rate_of_change_fact(record.t, "actual_q", q, "actual_qd", qd),
     ]
 

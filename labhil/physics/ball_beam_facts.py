@@ -28,16 +28,18 @@ def facts(record: Record, known: Mapping[str, float]) -> list[Fact]:
     why = "beam_length of the rig file" if "beam_length" in known else "a bench's beam is shorter"
     found = [
         rate_fact(record, 2.0, 1e5),
-        size_fact("ball_position", "m", x, 1.1 * length, why),
+        size_fact("ball_position", "m", x, 1.1 * length, 0.15, why),
     ]
     if name == "servo_angle":
-        found.append(size_fact(name, "rad", u, 1.1 * pi, "a crank that goes beyond half a turn comes back"))
+        found.append(
+            size_fact(name, "rad", u, 1.1 * pi, 0.5, "a crank that goes beyond half a turn comes back")
+        )
         sides = [known.get("crank_radius"), known.get("beam_length")]
         low = high = (sides[0] or 0.0) / (sides[1] or 1.0)
         if None in sides:
             low, high = SMALLEST_RATIO, 1.0
     else:
-        found.append(size_fact(name, "rad", u, 0.5 * pi, "the beam would stand upright"))
+        found.append(size_fact(name, "rad", u, 0.5 * pi, 0.1, "the beam would stand upright"))
         low = high = 1.0
     gain = second_order_gain(t, u, x)
     if gain is not None:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import inf
 
 import numpy as np
 
@@ -35,7 +34,8 @@ class Fact:
     """One figure of a recording with the bounds that physics sets.
 
     ``powers`` say how ``value`` scales with each signal ("t" for the time); ``typical`` is what it mostly is,
-    for choosing among explanations, ``because`` a reason for the bounds. ``dynamic`` facts compare signals.
+    for choosing among explanations, ``because`` a reason for the bounds. ``dynamic`` facts compare signals,
+    ``unsigned`` ones are sizes, of which signs make nothing else.
     """
 
     what: str
@@ -47,6 +47,7 @@ class Fact:
     because: str
     typical: float | None = None
     dynamic: bool = False
+    unsigned: bool = False
 
     def holds(self, factors: Mapping[str, float] | None = None) -> bool:
         """Whether the value is within the bounds, its signals multiplied by these ``factors``."""
@@ -57,7 +58,7 @@ class Fact:
         value = self.value
         for name, factor in factors.items():
             value *= float(factor) ** self.powers.get(name, 0)
-        return value
+        return abs(value) if self.unsigned else value
 
 
 def rate_fact(record: Record, low: float, high: float, typical: float = 100.0) -> Fact:
@@ -66,10 +67,12 @@ def rate_fact(record: Record, low: float, high: float, typical: float = 100.0) -
     return Fact("the sampling rate", 1.0 / record.period, "Hz", low, high, {TIME: -1}, why, typical)
 
 
-def size_fact(name: str, unit: str, values: FloatArray, high: float, because: str) -> Fact:
+def size_fact(name: str, unit: str, values: FloatArray, high: float, typical: float, because: str) -> Fact:
     """The largest absolute value of a signal (…); one sample in a thousand may stray."""
     largest = float(np.quantile(np.abs(values), 0.999))
-    return Fact(f"the largest {name}", largest, unit, -inf, high, {name: 1}, because)
+    return Fact(
+        f"the largest {name}", largest, unit, -1.0, high, {name: 1}, because, typical, unsigned=True
+    )  # fmt: skip
 
 
 def rate_of_change_fact(t: FloatArray, position: str, x: FloatArray, rate: str, v: FloatArray) -> list[Fact]:

@@ -13,6 +13,9 @@ from labhil.physics.model import Record
 LONGEST_STROKE = 0.3
 """m; of a bench: longer ones are built, but their forces are not of a plunger between two stops."""
 
+TYPICAL_STROKE = 5e-3
+"""m."""
+
 STRONGEST = 200.0
 """A, through a coil on a bench."""
 
@@ -28,8 +31,8 @@ def facts(record: Record, known: Mapping[str, float]) -> list[Fact]:
     why = "the stops of the rig file" if len(stops) == 2 else "a plunger's stroke is shorter"
     found = [
         rate_fact(record, 20.0, 1e6, 1000.0),
-        size_fact("plunger_position", "m", x, high, why),
-        size_fact("coil_current", "A", i, STRONGEST, "a bench's coil takes less"),
+        size_fact("plunger_position", "m", x, high, TYPICAL_STROKE, why),
+        size_fact("coil_current", "A", i, STRONGEST, 1.0, "a bench's coil takes less"),
     ]
     if np.ptp(i) > 0.0 and np.ptp(x) > 0.0:
         alike = float(np.corrcoef(i**2, x)[0, 1])

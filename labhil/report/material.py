@@ -71,9 +71,12 @@ class Material:
             told.append(f"No input changes ({names}): only what the rig does by itself can be learnt.")
         return told
 
-    def doubts(self) -> list[str]:
-        """What the physics of the rig calls implausible: units, signs, times or columns; a text each."""
-        return [doubt.statement for doubt in doubts_of(self.measured, self.rig)]
+    def doubts(self, *, misfit: bool) -> list[str]:
+        """What the physics of the rig calls implausible: units, signs, times or columns; a text each.
+
+        Harder looked for where a model has a ``misfit``.
+        """
+        return [doubt.statement for doubt in doubts_of(self.measured, self.rig, misfit=misfit)]
 
     def numbered(self) -> list[str]:
         """What the numbers of several recordings stand for, a line each; nothing of one."""
