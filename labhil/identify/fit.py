@@ -10,7 +10,7 @@ import numpy as np
 
 from labhil.errors import UnknownNameError, UsageError
 from labhil.identify import statistics
-from labhil.identify.adequacy import Adequacy, adequacy_of
+from labhil.identify.adequacy import EXPLAINED_TO, Adequacy, adequacy_of
 from labhil.identify.estimators import DEFAULT, INTERRUPTED, search
 from labhil.identify.fitted import (
     Fitted,
@@ -25,6 +25,7 @@ from labhil.identify.fitted import (
 from labhil.identify.identifiability import Identifiability, identifiability
 from labhil.identify.intervals import Intervals
 from labhil.identify.problem import Problem
+from labhil.identify.sampling import moved_estimates, sampling_notes
 from labhil.identify.score import Score, score, with_forces
 from labhil.identify.shapes import beside_rivals, over_shapes
 from labhil.identify.table import ParameterTable, table_of, widened
@@ -102,7 +103,8 @@ class Fit:
 
     ``residuals`` (N, channels) are those of the fitted windows, in units of noise; ``left`` is their size.
     ``criterion`` is what was made small. ``adequacy`` says whether it explains the data; where it does not,
-    errors and covariance hold the spread of the estimates over the lengths of the windows.
+    errors and covariance hold how far the estimates are from those on ``compared`` windows (s), and
+    ``sampling`` says whether the sampling may be why.
     """
 
     terms: tuple[str, ...]
@@ -126,6 +128,8 @@ class Fit:
     input_crosscorrelation_p: float
     evaluations: int
     converged: bool
+    sampling: tuple[str, ...] = ()
+    compared: tuple[float, ...] = ()
 
 
 def fit(
@@ -279,6 +283,17 @@ def _window_estimate(fitted: Fitted, length: float) -> WindowEstimate:
     )
 
 
+def _comparable(by_window: Sequence[WindowEstimate], chosen: int) -> list[WindowEstimate]:
+    """Fits on other windows that should agree with the chosen one, were the model complete.
+
+    Where the shortest windows fit to the noise, only those that do: longer ones are biased by what disturbs
+    the plant, which is no fault of the estimate on short ones. Else all.
+    """
+    disturbed = by_window[0].residual <= EXPLAINED_TO
+    others = [rung for k, rung in enumerate(by_window) if k != chosen]
+    return [rung for rung in others if not disturbed or rung.residual <= EXPLAINED_TO]
+
+
 def _left(fitted: Fitted) -> tuple[FittedChannel, ...]:
     """What the fitted windows leave of each channel."""
     problem = fitted.problem
@@ -304,9 +319,10 @@ def _finish(
     inputs, begins = problem.record.inputs[problem.windows.rows, 0], problem.begins
     values = fitted.theta[problem.free]
     adequacy = adequacy_of(scores)
+    others = [] if adequacy.explained else _comparable(by_window, chosen)
     if not adequacy.explained:
-        others = [rung for k, rung in enumerate(by_window) if k != chosen]
-        table = widened(table, parameters, [rung.values for rung in others], [r.std_errors for r in others])
+        values_of, errors_of = [rung.values for rung in others], [rung.std_errors for rung in others]
+        table = widened(table, parameters, values_of, errors_of, moved_estimates(fitted))
     return Fit(
         terms=fitted.terms,
         estimates=table.rows,
@@ -331,4 +347,6 @@ def _finish(
         ),
         evaluations=sum(rung.problem.evaluations for rung in rungs),
         converged=fitted.solution.converged,
+        sampling=() if adequacy.explained else sampling_notes(fitted),
+        compared=tuple(rung.window for rung in others),
     )

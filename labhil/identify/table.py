@@ -72,16 +72,18 @@ def widened(
     parameters: Sequence[Parameter],
     values: Sequence[Mapping[str, float]],
     errors: Sequence[Mapping[str, float]],
+    moved: FloatArray,
 ) -> ParameterTable:
     """The table of a model that does not explain its data, with how far its estimates move in the errors.
 
-    ``values`` and ``errors`` are those of fits on windows of other lengths. A complete model gives the same
+    ``values`` and ``errors`` are those of fits on windows of other lengths, ``moved`` (P,) what the input
+    between samples may do. A complete model gives the same
     values on all of them, up to its errors; the variance beyond these is the part of the bias that the data
     show, and is added. What all lengths have in common stays unseen.
     """
     spread = np.array([_spread(row, values, errors) for row in table.rows])
     old = np.array([row.std_error for row in table.rows])
-    new = np.hypot(old, spread)
+    new = np.sqrt(old**2 + spread**2 + moved**2)
     factor = np.where(np.isfinite(new) & (old > 0.0), new / np.maximum(old, 1e-300), 1.0)
     rows = [
         statistics.with_wider_error(row, float(error), (parameter.lower, parameter.upper))

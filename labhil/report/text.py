@@ -184,7 +184,7 @@ def _fit_notes(fit: Fit) -> list[str]:
         if fit.identifiability.would_help:
             notes.append(f"It would help to know or to record: {', '.join(fit.identifiability.would_help)}.")
     if not fit.adequacy.explained:
-        notes.append(_assumption(fit))
+        notes += [*fit.sampling, _assumption(fit)]
     elif fit.by_window and fit.window < fit.by_window[-1].window:
         notes.append(
             f"Longer windows than {fit.window:.3g} s do not fit to the noise: the plant itself is disturbed, "
@@ -195,8 +195,8 @@ def _fit_notes(fit: Fit) -> list[str]:
 
 def _assumption(fit: Fit) -> str:
     """What the intervals of a model that does not explain its data stand for."""
-    if len(fit.by_window) > 1:
-        lengths = ", ".join(f"{rung.window:.3g}" for rung in fit.by_window)
+    if fit.compared:
+        lengths = ", ".join(f"{length:.3g}" for length in sorted((*fit.compared, fit.window)))
         wide = f"Intervals are widened by how far the estimates move over windows of {lengths} s"
     else:
         wide = "Intervals are made of one fit only, so what the misfit biases does not show in them"
