@@ -347,6 +347,6 @@ def _finish(
         ),
         evaluations=sum(rung.problem.evaluations for rung in rungs),
         converged=fitted.solution.converged,
-        sampling=() if adequacy.explained else sampling_notes(fitted),
+        sampling=sampling_notes(fitted, explained=adequacy.explained),
         compared=tuple(rung.window for rung in others),
     )

@@ -1,7 +1,4 @@
-"""Whether the sampling itself limits a fit: signals that change faster than they were sampled.
-
-Asked only of a model that does not explain its data, since both answers name a reason for that.
-"""
+"""Whether the sampling itself limits a fit: signals that change faster than they were sampled."""
 
 from __future__ import annotations
 
@@ -9,8 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from labhil.identify.adequacy import FLOOR_KNOWN_TO
 from labhil.identify.fitted import Fitted
 from labhil.identify.problem import Problem
+from labhil.identify.windows import converter_step
 from labhil.physics.terms import keyed
 from labhil.signals import FloatArray, Hold
 
@@ -23,9 +22,12 @@ Squared it is a quarter of what is left: no model can be judged to better than t
 OTHER = {Hold.ZERO: Hold.LINEAR, Hold.LINEAR: Hold.ZERO}
 
 
-def sampling_notes(fitted: Fitted) -> tuple[str, ...]:
-    """What is to be said of the sampling of a fit's recording, a text each; nothing where it is fine."""
-    return (*_scattering_channels(fitted), *_coarse_input(fitted))
+def sampling_notes(fitted: Fitted, *, explained: bool) -> tuple[str, ...]:
+    """What is to be said of the sampling of a fit's recording, a text each; nothing where it is fine.
+
+    A chopped signal takes its own swings for noise, so that also a fit that is ``explained`` may rest on one.
+    """
+    return (*_scattering_channels(fitted), *(() if explained else _coarse_input(fitted)))
 
 
 def _scattering_channels(fitted: Fitted) -> list[str]:
@@ -37,7 +39,7 @@ def _scattering_channels(fitted: Fitted) -> list[str]:
     problem, record = fitted.problem, fitted.problem.record
     found = []
     for j, (sigma, spread) in enumerate(zip(problem.sigma, np.std(record.outputs, axis=0), strict=True)):
-        if sigma > spread > 0.0:
+        if sigma > FLOOR_KNOWN_TO * spread and spread > converter_step(record.outputs[:, j]):
             name, unit = keyed(*record.channel(j)), record.output_units[j]
             found.append(
                 f"{name} changes as much from one sample to the next ({sigma:.3g} {unit}) as in the whole "

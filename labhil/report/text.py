@@ -28,7 +28,7 @@ def show_fit(fit: Fit, console: Console, numbered: Sequence[str] = ()) -> None:
     console.print(Text(verdict_line(fit.adequacy), style="bold" if explained else "bold yellow"))
     _show_numbered(numbered, console)
     title = f"Parameters: errors robust to correlation, {_kind(fit)}"
-    console.print(parameter_table(fit.estimates, title, stars=explained))
+    console.print(parameter_table(fit.estimates, title, stars=explained and not fit.sampling))
     for note in _fit_notes(fit):
         console.print(Text("· " + note, style="yellow"))
     console.print(score_table([("train", fit.train)] + ([("test", fit.test)] if fit.test else [])))
@@ -183,8 +183,9 @@ def _fit_notes(fit: Fit) -> list[str]:
         )
         if fit.identifiability.would_help:
             notes.append(f"It would help to know or to record: {', '.join(fit.identifiability.would_help)}.")
+    notes += fit.sampling
     if not fit.adequacy.explained:
-        notes += [*fit.sampling, _assumption(fit)]
+        notes.append(_assumption(fit))
     elif fit.by_window and fit.window < fit.by_window[-1].window:
         notes.append(
             f"Longer windows than {fit.window:.3g} s do not fit to the noise: the plant itself is disturbed, "
