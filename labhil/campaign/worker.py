@@ -69,7 +69,8 @@ class Worker:
             self._tell(WORKER_PROGRESS, job, {"said": job.said})
             return
         self._tell(WORKER_RESULT, job, {"result": job.done, "said": job.said})
-        self._say(f"{job.title}: {job.done if job.state == 'done' else job.said}")
+        came = [job.done] if job.state == "done" and job.said == "done" else [job.done, job.said]
+        self._say(f"{job.title}: {', '.join(str(part) for part in came if part is not None)}")
 
     def _tell(self, key: str, job: Job, more: dict[str, Any]) -> None:
         data = {"t_ns": unix_ns(), "study": job.task.to_json(), "state": job.state, **more}

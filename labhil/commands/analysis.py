@@ -137,7 +137,8 @@ def fit(
     with status() as say, ending_early() as deadline:
         options = Options(window, method, simultaneous, estimator_named(estimator), seed, say, small)
         result = fit_study(material, terms=split_names(names), start=model, options=options)
-    notes = [*fault_lines(material.faults()), *material.numbered(), *material.notes(), *curve_note(model)]
+    notes = [*fault_lines(material.faults()), *result.doubts, *material.numbered()]
+    notes += [*material.notes(), *curve_note(model)]
     with early_line(result.fit.complete, deadline, json_path):
         deliver(result.json, json_path, lambda: show_fit(result.fit, results_console(), notes))
     if plot is not None:
@@ -190,7 +191,7 @@ def diagnose(
     tell(material.losses())
     with status() as say, ending_early(seconds) as deadline:
         result = diagnose_study(material, baseline=split_names(baseline), reference=model, progress=say)
-    notes = [*material.numbered(), *material.notes(), *curve_note(model)]
+    notes = [*result.doubts, *material.numbered(), *material.notes(), *curve_note(model)]
     with early_line(result.diagnosis.complete, deadline, json_path):
         deliver(result.json, json_path, lambda: show_diagnosis(result.diagnosis, results_console(), notes))
     if plot is not None:

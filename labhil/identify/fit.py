@@ -11,6 +11,7 @@ import numpy as np
 from labhil.ending import EndedEarly, accept
 from labhil.errors import UnknownNameError, UsageError
 from labhil.identify import statistics
+from labhil.identify.adequacy import EXPLAINED_TO, Adequacy, adequacy_of
 from labhil.identify.estimators import DEFAULT, INTERRUPTED, search
 from labhil.identify.fitted import (
     Fitted,
@@ -19,16 +20,17 @@ from labhil.identify.fitted import (
     fit_briefly,
     fit_terms,
     free_of,
-    longest_trusted,
     settled,
     start_theta,
+    trusted_rung,
 )
 from labhil.identify.identifiability import Identifiability, identifiability
 from labhil.identify.intervals import Intervals
 from labhil.identify.problem import Problem
+from labhil.identify.sampling import moved_estimates, sampling_notes
 from labhil.identify.score import Score, score, with_forces
 from labhil.identify.shapes import beside_rivals, over_shapes
-from labhil.identify.table import ParameterTable, table_of
+from labhil.identify.table import ParameterTable, table_of, widened
 from labhil.identify.windows import fit_windows, noise_of, told_apart
 from labhil.physics.model import Metric, Model, Record, terms_named
 from labhil.physics.rigs import by_inverse_dynamics
@@ -64,8 +66,8 @@ class WindowEstimate:
 class Options:
     """How a fit is made.
 
-    ``window`` (s) is the length of the fitted windows; by default the longest of a ladder whose residuals
-    have not grown: where noise drives the plant itself, long windows bias the estimates. ``intervals``
+    ``window`` (s) is the length of the fitted windows; by default one of a ladder, see
+    ``fitted.trusted_rung``. ``intervals``
     says how they are made; ``simultaneous`` ones hold for all parameters together. ``estimator`` is one
     of ``estimators.ESTIMATORS``, ``seed`` that of its draws. ``criterion`` is what is made small; scores
     are by the model's own metric whatever it is.
@@ -102,7 +104,9 @@ class Fit:
     """A fitted model with its statistics; ``covariance`` (P, P) is the robust one, in SI units.
 
     ``residuals`` (N, channels) are those of the fitted windows, in units of noise; ``left`` is their size.
-    ``criterion`` is what was made small. ``complete`` is False where it was ended early.
+    ``criterion`` is what was made small. ``adequacy`` says whether it explains the data; where it does not,
+    errors and covariance hold how far the estimates are from those on ``compared`` windows (s), and
+    ``sampling`` says whether the sampling may be why. ``complete`` is False where it was ended early.
     """
 
     terms: tuple[str, ...]
@@ -121,11 +125,14 @@ class Fit:
     simultaneous: bool
     train: Score
     test: Score | None
+    adequacy: Adequacy
     ljung_box_p: float
     input_crosscorrelation_p: float
     evaluations: int
     converged: bool
     complete: bool = True
+    sampling: tuple[str, ...] = ()
+    compared: tuple[float, ...] = ()
 
 
 def fit(
@@ -181,7 +188,7 @@ def _finished(
     how: Options,
 ) -> Fit:
     """Statistics and scores of the fits on these ``lengths`` of windows (s); fewer where it ended early."""
-    chosen = longest_trusted(rungs)
+    chosen = trusted_rung(rungs, lengths, model.horizon)
     how.progress(f"statistics and scores, intervals by {how.intervals}")
     by_window = [_window_estimate(r, length) for r, length in zip(rungs, lengths, strict=False)]
     table = table_of(rungs[chosen], how.intervals, how.simultaneous)
@@ -230,7 +237,7 @@ def _climbed(
         finally:
             rungs += longer
         how.progress("looking for lower minima on the longest trusted windows")
-        chosen = longest_trusted(rungs)
+        chosen = trusted_rung(rungs, lengths, model.horizon)
         found = beside_rivals(rungs[chosen], first.rivals) if chosen else first
         rungs[chosen] = settled(found)
     except EndedEarly as early:
@@ -323,6 +330,17 @@ def _window_estimate(fitted: Fitted, length: float) -> WindowEstimate:
     )
 
 
+def _comparable(by_window: Sequence[WindowEstimate], chosen: int) -> list[WindowEstimate]:
+    """Fits on other windows that should agree with the chosen one, were the model complete.
+
+    Where the shortest windows fit to the noise, only those that do: longer ones are biased by what disturbs
+    the plant, which is no fault of the estimate on short ones. Else all.
+    """
+    disturbed = by_window[0].residual <= EXPLAINED_TO
+    others = [rung for k, rung in enumerate(by_window) if k != chosen]
+    return [rung for rung in others if not disturbed or rung.residual <= EXPLAINED_TO]
+
+
 def _left(fitted: Fitted) -> tuple[FittedChannel, ...]:
     """What the fitted windows leave of each channel."""
     problem = fitted.problem
@@ -347,6 +365,11 @@ def _finish(
     residuals = fitted.solution.residuals.reshape(-1, len(problem.sigma))
     inputs, begins = problem.record.inputs[problem.windows.rows, 0], problem.begins
     values = fitted.theta[problem.free]
+    adequacy = adequacy_of(scores)
+    others = [] if adequacy.explained else _comparable(by_window, chosen)
+    if not adequacy.explained:
+        values_of, errors_of = [rung.values for rung in others], [rung.std_errors for rung in others]
+        table = widened(table, parameters, values_of, errors_of, moved_estimates(fitted))
     return Fit(
         terms=fitted.terms,
         estimates=table.rows,
@@ -360,6 +383,7 @@ def _finish(
         left=_left(fitted),
         criterion=problem.model.metric,
         fitted=fitted,
+        adequacy=adequacy,
         intervals=how.intervals,
         simultaneous=how.simultaneous,
         train=scores[0],
@@ -370,4 +394,6 @@ def _finish(
         ),
         evaluations=sum(rung.problem.evaluations for rung in rungs),
         converged=fitted.solution.converged,
+        sampling=sampling_notes(fitted, explained=adequacy.explained),
+        compared=tuple(rung.window for rung in others),
     )

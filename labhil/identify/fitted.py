@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from labhil.identify import statistics
+from labhil.identify.adequacy import EXPLAINED_TO
 from labhil.identify.least_squares import Solution, least_squares, settle
 from labhil.identify.problem import Point, Problem
 from labhil.identify.sensitivities import sensitivities
@@ -228,8 +229,17 @@ def _off_bounds(rung: Fitted, begin: FloatArray) -> FloatArray | None:
     return None if np.array_equal(back[lost], begin[lost]) else back
 
 
-def longest_trusted(rungs: Sequence[Fitted]) -> int:
-    """The longest windows whose residuals have grown by less than 30 % over those of the shortest."""
+def trusted_rung(rungs: Sequence[Fitted], lengths: Sequence[float], horizon: float) -> int:
+    """Which of the fits on longer and longer windows (``lengths``, s) is the answer.
+
+    Where the shortest windows fit to the noise: the longest whose residuals have grown by less than 30 %
+    over theirs, since noise that drives the plant itself biases longer ones. Where not even those fit, the
+    model is incomplete and none is free of bias; short windows then are no safer, they only fit the misfit
+    with their own initial states. The windows nearest to the scored ``horizon`` (s), which was chosen before
+    anything was fitted, give the values that predict best what the model is judged by.
+    """
+    if rungs[0].noise > EXPLAINED_TO:
+        return int(np.argmin(np.abs(np.log(np.asarray(lengths[: len(rungs)]) / horizon))))
     trusted = [i for i, rung in enumerate(rungs) if rung.noise <= WORST_GROWTH * rungs[0].noise]
     return max(trusted)
 

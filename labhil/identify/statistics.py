@@ -273,6 +273,19 @@ def with_error(row: Estimate, error: float) -> Estimate:
     return replace(row, std_error=error, ci99=ends, z=z, p_value=p_value, significant=sure)
 
 
+def with_wider_error(row: Estimate, error: float, bounds: tuple[float, float]) -> Estimate:
+    """The row with a larger standard error; its interval becomes the hull with what that error gives.
+
+    ``bounds`` cut the interval.
+    """
+    wider = with_error(row, error)
+    if wider is row:
+        return row
+    low = max(min(row.ci99[0], wider.ci99[0]), bounds[0])
+    high = min(max(row.ci99[1], wider.ci99[1]), bounds[1])
+    return replace(wider, ci99=(low, high))
+
+
 def of_channels(
     test: Callable[[FloatArray, slice], float], residuals: FloatArray, begins: Sequence[int] = (0,)
 ) -> float:

@@ -11,8 +11,8 @@ import numpy as np
 
 from labhil.errors import RecordingError, UnknownNameError, UsageError
 from labhil.kinds import RigKind
+from labhil.physics.facts import Fact
 from labhil.physics.model import Begin, Metric, Model, Record, Windows, index_of, start_values, starts_of
-from labhil.physics.several import several
 from labhil.recording.reader import Recording
 from labhil.rig import RigFile, default_rig
 from labhil.signals import FloatArray, Stream
@@ -26,12 +26,22 @@ class RigModel:
 
     ``model`` names its class as "module:class", imported when needed. ``baseline`` are the terms that a
     model holds when nobody says otherwise and something is to be found missing, ``general`` those when
-    it is to be fitted and nobody says otherwise (the reference text's general models).
+    it is to be fitted and nobody says otherwise (the reference text's general models). ``facts`` names the
+    function that states what physics knows of a recording of such a rig (see ``physics.facts``), "" for none.
     """
 
     model: str
     baseline: tuple[str, ...]
     general: tuple[str, ...]
+    facts: str = ""
+
+    def facts_of(self, record: Record, known: Mapping[str, float]) -> list[Fact]:
+        """What is known of a record, given the numbers of ``[known]``; nothing is compiled for it."""
+        if not self.facts:
+            return []
+        module, _, name = self.facts.partition(":")
+        found: list[Fact] = getattr(import_module(module), name)(record, known)
+        return found
 
     def load(self) -> Callable[[RigFile, Record | None], Model]:
         """The class: rig file and the record that sizes are taken from (None: typical sizes) to a model."""
@@ -47,14 +57,31 @@ MODELS: Mapping[str, RigModel] = {
         "labhil.physics.ball_beam:BallBeamModel",
         VISCOUS,
         (*DRY, *ALL_SPEEDS, "dead_zone", "time_delay"),
+        "labhil.physics.ball_beam_facts:facts",
     ),
-    "dc_motor": RigModel("labhil.physics.dc_motor:DcMotorModel", VISCOUS, (*DRY, *ALL_SPEEDS)),
-    "solenoid": RigModel("labhil.physics.solenoid:SolenoidModel", VISCOUS, (*DRY, "stribeck_friction")),
+    "dc_motor": RigModel(
+        "labhil.physics.dc_motor:DcMotorModel",
+        VISCOUS,
+        (*DRY, *ALL_SPEEDS),
+        "labhil.physics.dc_motor_facts:facts",
+    ),
+    "solenoid": RigModel(
+        "labhil.physics.solenoid:SolenoidModel",
+        VISCOUS,
+        (*DRY, "stribeck_friction"),
+        "labhil.physics.solenoid_facts:facts",
+    ),
     "axis": RigModel(
-        "labhil.physics.axis:AxisModel", (*DRY, "constant_force"), (*DRY, "constant_force", *ALL_SPEEDS)
+        "labhil.physics.axis:AxisModel",
+        (*DRY, "constant_force"),
+        (*DRY, "constant_force", *ALL_SPEEDS),
+        "labhil.physics.axis_facts:facts",
     ),
     "ur5": RigModel(
-        "labhil.physics.arm:ArmModel", (*DRY, "sensor_offset"), (*DRY, "sensor_offset", *ALL_SPEEDS)
+        "labhil.physics.arm:ArmModel",
+        (*DRY, "sensor_offset"),
+        (*DRY, "sensor_offset", *ALL_SPEEDS),
+        "labhil.physics.arm_facts:facts",
     ),
 }
 
@@ -82,7 +109,11 @@ def model_for(rig: RigFile, record: Record | None = None, per_recording: Sequenc
     """
     model = rig_model(rig.kind.name).load()(rig, record)
     count = 1 if record is None else len(record.begins)
-    return several(model, per_recording, count) if count > 1 else model
+    if count == 1:
+        return model
+    from labhil.physics.several import several
+
+    return several(model, per_recording, count)
 
 
 def by_inverse_dynamics(model: Model) -> Model:

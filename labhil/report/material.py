@@ -15,6 +15,7 @@ from labhil.diagnose.fault import Fault
 from labhil.diagnose.intake import with_censored
 from labhil.diagnose.timing import all_faults
 from labhil.errors import RecordingError, UsageError
+from labhil.identify.plausibility import doubts_of
 from labhil.identify.windows import FEWEST_SAMPLES, split, with_least_noise
 from labhil.physics.arm import ArmModel
 from labhil.physics.model import Model, Record, joined
@@ -78,6 +79,13 @@ class Material:
     def faults(self) -> tuple[Fault, ...]:
         """What is wrong with the data that are learnt from, and with what is held out of them."""
         return all_faults(self.model, self.measured)
+
+    def doubts(self, *, misfit: bool) -> list[str]:
+        """What the physics of the rig calls implausible: units, signs, times or columns; a text each.
+
+        Harder looked for where a model has a ``misfit``.
+        """
+        return [doubt.statement for doubt in doubts_of(self.measured, self.rig, misfit=misfit)]
 
     def numbered(self) -> list[str]:
         """What the numbers of several recordings stand for, a line each; nothing of one."""

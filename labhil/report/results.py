@@ -65,6 +65,8 @@ def fit_json(
             "rig": rig,
             "estimator": estimator,
             "seed": seed,
+            "verdict": fit.adequacy.verdict.value,
+            "residual_over_noise": dict(fit.adequacy.residual_over_noise),
             "terms": list(fit.terms),
             "parameters": [asdict(row) for row in fit.estimates],
             "covariance": fit.covariance.tolist(),

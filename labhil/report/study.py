@@ -27,20 +27,22 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class FitResult:
-    """A fit with its JSON."""
+    """A fit with its JSON; ``doubts`` say what is implausible in the data."""
 
     fit: Fit
     material: Material
     json: Any
+    doubts: Sequence[str] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisResult:
-    """A diagnosis with its JSON."""
+    """A diagnosis with its JSON; ``doubts`` say what is implausible in the data."""
 
     diagnosis: Diagnosis
     material: Material
     json: Any
+    doubts: Sequence[str] = ()
 
 
 def fit_study(
@@ -77,7 +79,8 @@ def fit_study(
     sources = material.sources("train")
     data = fit_json(result, sources, model.kind, how.estimator, how.seed, seconds, curves_json(model))
     data["faults"] = [asdict(fault) for fault in material.faults()]
-    return FitResult(result, material, data)
+    doubts = material.doubts(misfit=not result.adequacy.explained)
+    return FitResult(result, material, {**data, "doubts": doubts}, doubts)
 
 
 def _with_own(model: Model, terms: Sequence[str], *, stated: bool) -> tuple[str, ...]:
@@ -123,7 +126,9 @@ def diagnose_study(
             measured=material.measured,
             progress=progress,
         )
-    return DiagnosisResult(diagnosis, material, diagnosis_json(diagnosis, material.sources("search")))
+    doubts = material.doubts(misfit=diagnosis.verdict != "no_mismatch")
+    data = diagnosis_json(diagnosis, material.sources("search"))
+    return DiagnosisResult(diagnosis, material, {**data, "doubts": doubts}, doubts)
 
 
 def _reference_values(material: Material, reference: Path | None) -> Mapping[str, float] | None:

@@ -22,7 +22,7 @@ from labhil.report.html.schema import (
     RivalPart,
     ScorePart,
 )
-from labhil.report.verdicts import VERDICTS
+from labhil.report.verdicts import FIT_VERDICTS, VERDICTS
 
 Colours = dict[str, str]
 
@@ -46,7 +46,8 @@ def headline(part: FitPart | DiagnosisPart) -> str:
     if isinstance(part, FitPart):
         score = part.test or part.train
         on = "on test data" if part.test is not None else "on what it was fitted to"
-        return f"R² {percent(score.r2)} {on}, {len(part.parameters)} parameters"
+        found = f"R² {percent(score.r2)} {on}, {len(part.parameters)} parameters"
+        return found if part.verdict in (None, "explained") else f"{FIT_VERDICTS[part.verdict]}; {found}"
     found = ", ".join(keyed(item.term, item.joint) for item in part.missing)
     return found or VERDICTS[part.verdict].rstrip(".")
 
@@ -56,6 +57,11 @@ def fit_text(fit: FitPart, colours: Colours) -> RenderableType:
     score = fit.test or fit.train
     on = "data it has not seen" if fit.test is not None else "the data it was fitted to"
     head = Text()
+    if fit.statement is not None:
+        colour = colours["success" if fit.verdict == "explained" else "warning"]
+        head.append(f"{fit.statement}\n", style=f"bold {colour}")
+    for doubt in fit.doubts:
+        head.append(f"▲ {doubt}\n", style=colours["warning"])
     head.append(f"R² {percent(score.r2)}", style=f"bold {colours['success']}")
     head.append(f" on {on}\n")
     head.append(
@@ -65,7 +71,7 @@ def fit_text(fit: FitPart, colours: Colours) -> RenderableType:
     parts: list[RenderableType] = [
         head,
         _title("Parameters", colours),
-        parameter_table(fit.parameters, colours),
+        parameter_table(fit.judged_rows, colours),
     ]
     if fit.identifiability.rank < fit.identifiability.of:
         parts.append(_identifiability(fit, colours))
