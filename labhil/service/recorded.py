@@ -37,6 +37,8 @@ class RecordedStream:
     first_seq: int = 0
     last_seq: int = 0
     speed: float = 1.0
+    second: int = 1
+    """Samples in one second of the host's clock."""
     clock: ClockWatch | None = None
     """Where the device's own clock stamps the samples."""
 
