@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ from labhil.errors import (
     UsageError,
 )
 from labhil.experiment.control import RunControl, RunState
-from labhil.experiment.devices import Devices, host_config
+from labhil.experiment.devices import Devices, at_once, host_config
 from labhil.experiment.experiment import TWIN, Experiment
 from labhil.experiment.interruption import Interruption
 from labhil.experiment.plan import DevicePlan, Plan, make_plan
@@ -139,6 +140,7 @@ class _Run:
             self._path,
             attachments=self._attachments(),
             metadata=self._metadata(),
+            waits=True,
             on_failure=self._control.changed.set,
         )
         name = f"run {self._plan.experiment.experiment.name}"
@@ -152,6 +154,7 @@ class _Run:
                 self._become(RunState.STARTING, "starting")
                 self._start(bus, devices, twins, subscriptions)
                 self._become(RunState.RUNNING, "all devices are connected")
+                recorder.begin()
                 self._follow(recorder, devices)
             except _Enough as enough:
                 reason = str(enough)
@@ -172,18 +175,30 @@ class _Run:
 
     def _start(self, bus: Bus, devices: Devices, twins: ExitStack, subscriptions: ExitStack) -> None:
         try:
+            self._look_at_requests()
+            addresses = self._addresses(twins)
+            self._look_at_requests()
             for device in self._plan.devices:
-                self._look_at_requests()
-                address = device.section.address
-                if address == TWIN:
-                    address = self._start_twin(device, twins)
-                    self._look_at_requests()
-                devices.start_host(host_config(device, address, bus.endpoint))
+                devices.start_host(host_config(device, addresses[device.name], bus.endpoint))
             devices.connect(self._plan.devices, subscriptions, self._is_to_end)
         except RunStoppedError:
             self._look_at_requests()  # which knows why, and whether it is an error
             raise
         devices.start()
+
+    def _addresses(self, twins: ExitStack) -> dict[str, str]:
+        """Where every device is; simulated ones are started, all at once."""
+        found = {device.name: device.section.address for device in self._plan.devices}
+        simulated = [device for device in self._plan.devices if found[device.name] == TWIN]
+
+        def start(device: DevicePlan) -> None:
+            found[device.name] = self._start_twin(device, twins)
+
+        outcomes = at_once([partial(start, device) for device in simulated])
+        for error in outcomes:
+            if error is not None:
+                raise error
+        return found
 
     def _start_twin(self, device: DevicePlan, twins: ExitStack) -> str:
         several = sum(other.section.address == TWIN for other in self._plan.devices) > 1

@@ -97,8 +97,9 @@ class Material:
         ]
 
     def losses(self) -> list[str]:
-        """What the recordings lack, a line each."""
-        return [line for recording, _, _ in self.recordings for line in recording.losses()]
+        """Which device was chosen where nobody said so, and what the recordings lack, a line each."""
+        recordings = [recording for recording, _, _ in self.recordings]
+        return [line for each in recordings for line in (*_unasked(each, self.rig), *each.losses())]
 
     def naming(self) -> AbstractContextManager[None]:
         """Names the file in what a fit or a diagnosis says of its recording."""
@@ -161,6 +162,19 @@ def load_material(
         judge = model.prepare(test)
         _refuse_horizon(rig, judge)
     return Material(rig, model, learn, judge, True, measured, (*learning, *judging))
+
+
+def _unasked(recording: Recording, rig: RigFile) -> list[str]:
+    """A line that says which of several devices is used."""
+    devices = list(dict.fromkeys(data.device for data in recording.streams))
+    if len(devices) < 2:
+        return []
+    wanted = {signal.name for signal in rig.kind.outputs}
+    used = [data.device for data in recording.streams if wanted & set(data.stream.names())]
+    return [
+        f"{recording.path}: holds the devices {', '.join(devices)}; used: {', '.join(dict.fromkeys(used))}. "
+        "--device NAME chooses another"
+    ]
 
 
 @contextmanager

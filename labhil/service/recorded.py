@@ -43,6 +43,8 @@ class RecordedStream:
     speed: float = 1.0
     rate: float = 0.0
     steady_host: bool = False
+    second: int = 1
+    """Samples in one second of the host's clock."""
     clock: ClockWatch | None = None
     """Where the device's own clock stamps the samples."""
 

@@ -95,7 +95,8 @@ class Recorder:
     tables of strings. Raises what :class:`RecordingWriter` raises when the file cannot be made.
 
     ``failure`` tells why the recording ended early (the disk), None while all is well; ``on_failure`` is
-    called once it does, in the writer's thread.
+    called once it does, in the writer's thread. One that ``waits`` keeps events from the start, and of the
+    samples before :meth:`begin` only the newest second: devices of one run are not ready at the same time.
     """
 
     def __init__(
@@ -105,8 +106,10 @@ class Recorder:
         *,
         attachments: Mapping[str, bytes] | None = None,
         metadata: Mapping[str, Mapping[str, str]] | None = None,
+        waits: bool = False,
         on_failure: Callable[[], object] = lambda: None,
     ) -> None:
+        self._waits = waits
         self.failure: RecordingFailedError | None = None
         self._deaf: RecordingFailedError | None = None
         self._on_failure = on_failure
@@ -136,6 +139,10 @@ class Recorder:
             raise
         self._thread = threading.Thread(target=self._run, name=f"record {path.name}")
         self._thread.start()
+
+    def begin(self) -> None:
+        """Keep all samples from now on."""
+        self._waits = False
 
     def finish(self, exit_status: str = "done", reason: str = "") -> RecordingSummary:
         """Take in what is still on its way, end the file and give it its name; safe to call twice.
@@ -284,6 +291,9 @@ class Recorder:
             self._learn(channel)
         if channel.number is None:
             return
+        if self._waits:
+            del channel.waiting[: -channel.second]
+            return
         payloads, channel.waiting = channel.waiting, []
         self._waiting -= channel.size
         channel.size = 0
@@ -318,6 +328,7 @@ class Recorder:
                 raise ProtocolError(f"speed: expected a positive number, found {excerpt(told['speed'])}")
             channel.speed = speed
             channel.rate, channel.steady_host = stream.rate, HOST_CLOCK in told
+            channel.second = max(1, round(stream.rate * channel.speed))
             if any(signal.direction is not Direction.REQUESTED for signal in stream.signals):
                 channel.clock = ClockWatch()
             channel.number = self._writer.add_stream(channel.device, stream, told)
@@ -355,6 +366,7 @@ class Recorder:
 
     def _write_rest(self, exit_status: str, reason: str) -> None:
         """The last status, what nobody explained, and the end of the file."""
+        self._waits = False
         for channel in self._channels.values():
             channel.asked_at = float("-inf")
             if channel.waiting:

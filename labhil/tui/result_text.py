@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from rich.console import Group, RenderableType
-from rich.table import Table
 from rich.text import Text
 
 from labhil.physics.terms import keyed, listed
@@ -23,6 +22,7 @@ from labhil.report.html.schema import (
     ScorePart,
 )
 from labhil.report.verdicts import FIT_VERDICTS, VERDICTS
+from labhil.tui.words import PlainTable
 
 Colours = dict[str, str]
 
@@ -83,9 +83,9 @@ def _title(text: str, colours: Colours) -> Text:
     return Text(f"\n{text}", style=f"bold {colours['primary']}")
 
 
-def parameter_table(rows: Sequence[ParameterRow], colours: Colours) -> Table:
+def parameter_table(rows: Sequence[ParameterRow], colours: Colours) -> PlainTable:
     """One row per parameter; a word says what cannot be relied on."""
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style=colours["muted"])
+    table = PlainTable(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style=colours["muted"])
     # where room is short the name is what is cut: the one column that may be wrapped is made narrow first
     table.add_column("parameter", overflow="ellipsis", min_width=20, max_width=38)
     table.add_column("value", justify="right", no_wrap=True)
@@ -121,7 +121,7 @@ def _identifiability(fit: FitPart, colours: Colours) -> Text:
     return text.append(".")
 
 
-def _scores(fit: FitPart) -> Table:
+def _scores(fit: FitPart) -> PlainTable:
     table = _plain_table(("data", "channel"), ("RMSE", "noise floor", "R²"))
     for name, score in (("fitted", fit.train), ("test", fit.test)):
         for row in _rows_of(score):
@@ -139,8 +139,8 @@ def _rows_of(score: ScorePart | None) -> Sequence[ChannelErrors]:
     return () if score is None else score.per_channel
 
 
-def _plain_table(words: Sequence[str], numbers: Sequence[str]) -> Table:
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
+def _plain_table(words: Sequence[str], numbers: Sequence[str]) -> PlainTable:
+    table = PlainTable(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
     for name in words:
         table.add_column(name, no_wrap=True)
     for name in numbers:
@@ -214,7 +214,7 @@ def _missing(item: MissingPart, rivals: Sequence[RivalPart], colours: Colours) -
     return text
 
 
-def _changed(found: DiagnosisPart) -> Table:
+def _changed(found: DiagnosisPart) -> PlainTable:
     table = _plain_table(("parameter",), ("before", "after", "99 % interval", "p"))
     for change in found.changed:
         table.add_row(
