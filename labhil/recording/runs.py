@@ -61,7 +61,8 @@ def runs_of(channels: Sequence[Batch]) -> list[Run]:
         else:
             groups.append(batch)
     found = [run for group in groups for run in _ordered(group)]
-    return sorted(found, key=lambda run: int(run.batch.t_acq_ns.min()))
+    # a stream may have no samples at all
+    return sorted(found, key=lambda run: int(run.batch.t_acq_ns.min(initial=np.iinfo(np.int64).max)))
 
 
 def order_of(seq: IntArray, t_acq_ns: IntArray, t_hw_ns: IntArray) -> list[IntArray]:

@@ -264,7 +264,8 @@ def _ordered(sheet: Sheet, clock: Clock | None, taken: list[tuple[Mapped, FloatA
         return Ordered(np.arange(rows) / float(sheet.rig.table.rate or 1.0), np.zeros(rows, dtype=np.bool_))
     values = np.hstack([scaled for _, scaled in taken])
     copied = np.zeros(rows, dtype=np.bool_)
-    copied[1:] = np.isclose(values[1:], values[:-1], rtol=0.0, atol=0.0, equal_nan=True).all(axis=1)
+    same = (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
+    copied[1:] = same.all(axis=1)
     return order_rows(sheet, clock, copied)
 
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
-from labhil.identify.adequacy import Adequacy
+if TYPE_CHECKING:
+    from labhil.identify.adequacy import Adequacy
 
 VERDICTS = {
     "no_mismatch": "No mismatch: the data do not contradict the baseline.",

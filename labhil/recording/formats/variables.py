@@ -17,6 +17,7 @@ import numpy as np
 
 from labhil.errors import TableError
 from labhil.recording.formats.columns import NumberColumns
+from labhil.recording.formats.time_text import Stamps
 from labhil.signals import FloatArray, Hold
 
 MOST_PARTS = 64
@@ -93,6 +94,11 @@ class VariableColumns(NumberColumns):
         wanted = _plain(source)
         exact = tuple(place for place, name in enumerate(names) if _plain(name) == wanted)
         return exact or tuple(place for place, own in enumerate(self.labels) if source in own)
+
+    def times(self, column: int) -> Stamps:
+        """The values of a column that holds the time, shape (rows,); dates and times of day in s."""
+        self.used.add(column)
+        return super().times(column)
 
     def numbers(self, column: int, hold: Hold = Hold.LINEAR) -> FloatArray:
         """The values of a column, shape (rows,); NaN where there is no number."""
