@@ -41,7 +41,7 @@ ANSWERED_WITHIN = 4
 """Samples within which a controller answers noise of its measurement."""
 
 CLEAR = 4.0
-"""Standard errors by which that stands out: by chance in 1 of 4000 recordings, which are not compared then."""
+"""Standard errors by which that stands out: by chance in 1 of 4000 recordings, which then are not timed."""
 
 TERMS = ("viscous_friction", "coulomb_friction")
 """What nearly every rig has, and what delays its answers."""
