@@ -22,6 +22,7 @@ from labhil.commands.studies import add_studies
 from labhil.commands.trials import add_trials
 from labhil.commands.tui import add_tui
 from labhil.errors import LabhilError
+from labhil.terminal import complain, show
 
 app = typer.Typer(
     help="Record a rig and its simulation, find where they disagree, and say what physics was left out.",
@@ -38,7 +39,7 @@ def main() -> None:
     try:
         app()
     except LabhilError as error:
-        print(error, file=sys.stderr)
+        complain(error)
         sys.exit(error.exit_status)
 
 
@@ -46,7 +47,7 @@ def _print_version(wanted: bool) -> None:
     if wanted:
         from labhil import __version__
 
-        print(f"labhil {__version__}")
+        show(f"labhil {__version__}")
         raise typer.Exit
 
 

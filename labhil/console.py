@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from labhil.errors import UsageError
+from labhil.terminal import complain, printable, printable_json, show, terminal
 from labhil.whole import whole
 
 
@@ -17,7 +17,7 @@ def write_json(data: dict[str, Any], path: Path | None = None) -> None:
     """Write a result as JSON, to stdout or a file; numbers that are not finite have been made None before."""
     text = json.dumps(data, ensure_ascii=False, allow_nan=False, indent=1)
     if path is None:
-        print(text)
+        show(printable_json(text))
         return
     with whole(path, "the result") as draft:
         draft.write_text(text + "\n", encoding="utf-8")
@@ -34,8 +34,7 @@ def refuse_unwritable(*paths: Path | None) -> None:
 
 def tell(lines: Iterable[str]) -> None:
     """Print what a person should know beside the result."""
-    for line in lines:
-        print(line, file=sys.stderr)
+    complain(*lines)
 
 
 def split_names(text: str | None) -> tuple[str, ...] | None:
@@ -48,19 +47,18 @@ def split_names(text: str | None) -> tuple[str, ...] | None:
 @contextmanager
 def status() -> Iterator[Callable[[str], None]]:
     """Show what is being done on stderr: a line that changes on a terminal, lines elsewhere."""
-    from rich.console import Console
-
-    console = Console(stderr=True)
+    console = terminal(stderr=True)
     if not console.is_terminal:
-        yield lambda text: console.print(text, markup=False, highlight=False, soft_wrap=True)
+        yield lambda text: console.print(text, highlight=False, soft_wrap=True)
         return
-    with console.status("starting") as line:
-        yield line.update
+    from rich.text import Text
+
+    # a bare string would be read as markup there
+    with console.status(Text("starting")) as line:
+        yield lambda text: line.update(Text(printable(text)))
 
 
 def results_console() -> Any:
     """A console for results on stdout: as wide as the terminal, wide enough for a table elsewhere."""
-    from rich.console import Console
-
-    console = Console()
-    return console if console.is_terminal else Console(width=140)
+    console = terminal()
+    return console if console.is_terminal else terminal(width=140)

@@ -12,6 +12,7 @@ from typing import Any, Self
 import zenoh
 
 from labhil.bus.session import Bus
+from labhil.documents import parse_json
 from labhil.errors import BusError, CommandRefusedError
 
 Handler = Callable[[dict[str, Any]], Mapping[str, Any]]
@@ -55,7 +56,7 @@ class Answering:
     def _answer(self, query: zenoh.Query) -> None:
         try:
             payload = query.payload.to_bytes() if query.payload is not None else b"{}"
-            answer = json.dumps(dict(self._handler(json.loads(payload))))
+            answer = json.dumps(dict(self._handler(parse_json(payload))))
         except Exception as error:  # noqa: BLE001 - a handler that raises must not leave the caller waiting
             told = {"error": type(error).__name__, "message": str(error), "key": self._key}
             query.reply_err(json.dumps(told))
@@ -106,7 +107,7 @@ def ask_all(
         replies = bus.session.get(key, payload=question, timeout=timeout, target=zenoh.QueryTarget.ALL)
         for reply in replies:
             if reply.ok is not None:
-                answers[str(reply.ok.key_expr)] = dict(json.loads(reply.ok.payload.to_bytes()))
+                answers[str(reply.ok.key_expr)] = dict(parse_json(reply.ok.payload.to_bytes()))
             elif reply.err is not None:
                 found = reply.err.payload.to_bytes()
                 answers[_key_in(found)] = _error(key, found, timeout)
@@ -124,7 +125,7 @@ def _ask_once(bus: Bus, key: str, question: str, timeout: float) -> dict[str, An
         )
         for reply in replies:
             if reply.ok is not None:
-                return dict(json.loads(reply.ok.payload.to_bytes()))
+                return dict(parse_json(reply.ok.payload.to_bytes()))
             if reply.err is not None:
                 raise _error(key, reply.err.payload.to_bytes(), timeout)
     except zenoh.ZError as error:
@@ -135,14 +136,14 @@ def _ask_once(bus: Bus, key: str, question: str, timeout: float) -> dict[str, An
 def _key_in(payload: bytes) -> str:
     """Which key an error came from; empty when it does not say."""
     try:
-        return str(json.loads(payload)["key"])
+        return str(parse_json(payload)["key"])
     except (ValueError, KeyError, TypeError):
         return ""
 
 
 def _error(key: str, payload: bytes, timeout: float) -> BusError | CommandRefusedError:
     try:
-        found: dict[str, str] = json.loads(payload)
+        found: dict[str, str] = parse_json(payload)
         kind, message = found["error"], found["message"]
     except (ValueError, KeyError, TypeError):
         text = payload.decode("utf-8", "replace")

@@ -18,6 +18,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from labhil.documents import parse_json
 from labhil.errors import BusError, UsageError
 
 LOOPBACK = re.compile(r"tcp/(127\.0\.0\.1|localhost|\[::1\]):\d{1,5}\Z")
@@ -133,7 +134,7 @@ def check_loopback(endpoint: str) -> str:
 
 def _read(path: Path) -> Registered | None:
     with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = parse_json(path.read_text(encoding="utf-8"))
         entry = Registered(**{**data, "devices": tuple(data["devices"])})
         return entry if LOOPBACK.match(entry.endpoint) else None
     return None

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from labhil.console import refuse_unwritable, results_console, split_names, status, tell, write_json
+from labhil.terminal import show
 
 RecordingsArgument = Annotated[
     list[Path],
@@ -222,7 +223,7 @@ def report(
 
     refuse_unwritable(out)
     write_page(report_page(result), out)
-    print(out)
+    show(out)
 
 
 def linear(
@@ -245,6 +246,6 @@ def linear(
     with status() as say:
         rows = linear_study(material.learn, material.judge, split_names(models), progress=say)
     for line in study_text(rows):
-        print(line)
+        show(line)
     if json_path is not None:
         write_json({"schema": "labhil.linear/1", "models": study_json(rows)}, json_path)

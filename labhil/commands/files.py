@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from labhil.console import refuse_unwritable, tell, write_json
+from labhil.terminal import show
 
 
 def add_files(app: typer.Typer) -> None:
@@ -32,7 +33,7 @@ def import_(
 
     table = import_table(data, load_rig(rig))
     tell(describe_import(table))
-    print(write_import(table, out))
+    show(write_import(table, out))
 
 
 def export(
@@ -59,7 +60,7 @@ def export(
 
     found = read_recording(recording).of_device(device)
     tell(found.losses())
-    print(write_table(found, out, stream))
+    show(write_table(found, out, stream))
 
 
 def recover(
@@ -88,4 +89,4 @@ def recover(
     tell(result.lines())
     if json_path is not None:
         write_json(result.to_json(), json_path)
-    print(result.path)
+    show(result.path)

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from labhil.console import write_json
+from labhil.terminal import show
 
 
 def add_machine(app: typer.Typer) -> None:
@@ -29,7 +30,7 @@ def doctor(
     for finding in examine(out):
         findings.append(finding)
         if not as_json:
-            print(line(finding), flush=True)
+            show(line(finding))
     told = to_json(findings)
     if as_json:
         write_json(told)

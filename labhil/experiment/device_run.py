@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import threading
 import time
 from collections.abc import Mapping
@@ -17,6 +16,7 @@ from labhil.bus.keys import command_key, event_key, setpoint_key, stream_key
 from labhil.bus.session import Bus
 from labhil.bus.subscribe import Subscription, subscribe
 from labhil.codec import Codec
+from labhil.documents import parse_json
 from labhil.errors import (
     EmergencyStopError,
     InterlockError,
@@ -171,7 +171,7 @@ class DeviceRun:
 
     def _take_events(self, _key: str, payloads: list[bytes]) -> None:
         for payload in payloads:
-            event = json.loads(payload)
+            event = parse_json(payload)
             if event["t_ns"] < self._since_ns:
                 continue  # from before the steps went on
             self.ends = self.ends or event["kind"] == "failed"

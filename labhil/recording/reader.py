@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from mcap.records import Channel
 
+from labhil.bounds import ImplausibleError
 from labhil.codec import Codec, stream_from_json
+from labhil.documents import parse_json
 from labhil.errors import ProtocolError, RecordingError, RigFileError, suggestion
 from labhil.recording.chunks import Contents, Messages, is_mcap, scan
 from labhil.recording.clock import ClockFit, fit_clock, keeps_its_rate
@@ -23,8 +25,15 @@ from labhil.recording.device_clocks import (
 )
 from labhil.rig import RigFile, parse_rig
 from labhil.signals import Batch, FloatArray, IntArray, Stream
+from labhil.terminal import printable_name
 
 RIG_ATTACHMENT = "rig.toml"
+
+LARGEST_SPEED = 1e6
+"""Seconds of a device's world in one of the host, at most: no simulation is faster."""
+
+LARGEST_STAMP = 1 << 62
+"""ns or counts; as Unix time it is the year 2116, and differences of such stamps fit into 64 bits."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +125,7 @@ class Recording:
         if name not in devices:
             raise RecordingError(
                 f"{self.path}: expected samples of the device {name!r}{suggestion(name, devices)}; "
-                f"found: {', '.join(devices) or 'no device at all'}"
+                f"found: {', '.join(map(printable_name, devices)) or 'no device at all'}"
             )
         streams = tuple(data for data in self.streams if data.device == name)
         own = self.attachments.get(f"rig.{name}.toml")
@@ -130,12 +139,13 @@ class Recording:
             return found[0]
         wanted = " and ".join(names)
         if found:
-            where = ", ".join(f"/{data.device}/{data.stream.name}" for data in found)
+            where = ", ".join(printable_name(f"/{data.device}/{data.stream.name}") for data in found)
             raise RecordingError(f"{self.path}: expected one stream with {wanted}, found several: {where}")
         here = [name for data in self.streams for name in data.stream.names()]
         near = "".join(suggestion(name, here) for name in names if name not in here)
         what = "; ".join(
-            f"/{data.device}/{data.stream.name}: {', '.join(data.stream.names())}" for data in self.streams
+            f"{printable_name(f'/{data.device}/{data.stream.name}')}: {', '.join(data.stream.names())}"
+            for data in self.streams
         )
         raise RecordingError(
             f"{self.path}: expected a stream with {wanted}{near}; found: {what or self.no_streams()}"
@@ -151,7 +161,8 @@ class Recording:
         """What is not there that should be, a line each: the end of the file, damaged parts, lost samples."""
         lines = [f"{self.path}: read as far as it goes: {self.damage}"] if self.damage else []
         return lines + [
-            f"{self.path}: {data.lost} samples of {data.device}/{data.stream.name} were lost"
+            f"{self.path}: {data.lost} samples of {printable_name(data.device)}/"
+            f"{printable_name(data.stream.name)} were lost"
             for data in self.streams
             if data.lost
         ]
@@ -178,7 +189,10 @@ def read_recording(path: Path) -> Recording:
     RecordingError when there is no such file, when it is no MCAP file, or when it is damaged beyond use.
     """
     data = _bytes_of(path)
-    contents = scan(data)
+    try:
+        contents = scan(data)
+    except ImplausibleError as error:
+        raise RecordingError(f"{path}: {error}; `labhil recover` saves what is plausible of it") from error
     streams = _streams(path, contents)
     origin_ns = min((int(s.t_acq_ns[0]) for s in streams if len(s)), default=0)
     return Recording(
@@ -197,7 +211,7 @@ def read_recording(path: Path) -> Recording:
 
 def _foreign(contents: Contents) -> tuple[str, ...]:
     return tuple(
-        f"{channel.topic} ({channel.message_encoding or 'no encoding'})"
+        f"{printable_name(channel.topic)} ({printable_name(channel.message_encoding) or 'no encoding'})"
         for channel in contents.channels.values()
         if "labhil.stream" not in channel.metadata and "device" not in channel.metadata
     )
@@ -229,10 +243,11 @@ def _streams(path: Path, contents: Contents) -> list[StreamData]:
         try:
             stream = stream_from_json(channel.metadata["labhil.stream"])
             batch = _decode(Codec(stream), contents.messages[channel.id])
+            _check_stamps(batch)
             speed = _speed(channel.metadata)
+            device = _device(channel)
         except (ProtocolError, ValueError) as error:
-            raise RecordingError(f"{path}: {channel.topic}: {error}") from error
-        device = channel.metadata.get("device", channel.topic.split("/")[1])
+            raise RecordingError(f"{path}: {printable_name(channel.topic)}: {error}") from error
         untimed = ClockFit(np.zeros(len(batch)), 0.0, 0.0, 0, device_clock=False)
         told = {key: value for key, value in channel.metadata.items() if not key.startswith("labhil.")}
         streams.append(
@@ -255,9 +270,31 @@ def _streams(path: Path, contents: Contents) -> list[StreamData]:
 
 def _speed(metadata: Mapping[str, str]) -> float:
     speed = float(metadata.get("speed", "1"))
-    if not 0 < speed < float("inf"):
-        raise ValueError(f"expected a positive speed, found {speed}")
+    if not 1.0 / LARGEST_SPEED < speed < LARGEST_SPEED:
+        raise ValueError(f"expected a speed between 1/{LARGEST_SPEED:g} and {LARGEST_SPEED:g}, found {speed}")
     return speed
+
+
+def _device(channel: Channel) -> str:
+    """The device of a channel: as its metadata say, or its topic, which is /device/stream."""
+    device = channel.metadata.get("device")
+    if device:
+        return device
+    root, _, rest = channel.topic.partition("/")
+    device, _, stream = rest.partition("/")
+    if root or not device or not stream:
+        raise ValueError("expected a topic /device/stream, or the metadata `device`")
+    return device
+
+
+def _check_stamps(batch: Batch) -> None:
+    """ValueError for stamps whose differences would not fit into 64 bits: no clock shows them."""
+    for name, stamps in (("seq", batch.seq), ("t_acq_ns", batch.t_acq_ns), ("t_hw_ns", batch.t_hw_ns)):
+        wrong = np.flatnonzero((stamps < -LARGEST_STAMP) | (stamps > LARGEST_STAMP))
+        if len(wrong):
+            raise ValueError(
+                f"message {wrong[0]}: expected a {name} within ±{LARGEST_STAMP}, found {stamps[wrong[0]]}"
+            )
 
 
 def _decode(codec: Codec, messages: Messages) -> Batch:
@@ -314,7 +351,7 @@ def _events(contents: Contents, origin_ns: int, speeds: Mapping[str, float]) -> 
 
 def _body(payload: bytes) -> Mapping[str, Any]:
     try:
-        body = json.loads(payload)
+        body = parse_json(payload)
     except ValueError:
         body = payload.decode("utf-8", "replace")
     return body if isinstance(body, dict) else {"text": str(body)}

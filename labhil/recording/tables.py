@@ -19,6 +19,7 @@ from labhil.recording.timeline import longest_run
 from labhil.recording.writer import RecordingWriter
 from labhil.rig import Channel, Column, RigFile
 from labhil.signals import Batch, Direction, FloatArray, IntArray, Signal, Stream
+from labhil.terminal import printable_name
 
 TIME_COLUMNS = ("t", "time", "timestamp")
 MOST_NAMES = 40
@@ -89,7 +90,7 @@ class _Sheet:
             return f"no header and {self.columns.width} columns, 0 to {self.columns.width - 1}"
         names = self.columns.names
         more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
-        return f"the columns {', '.join(names[:MOST_NAMES])}{more}"
+        return f"the columns {', '.join(map(printable_name, names[:MOST_NAMES]))}{more}"
 
     def line(self, row: int) -> str:
         """Where a row stands, for messages."""

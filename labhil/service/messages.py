@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
+from labhil.documents import parse_json
 from labhil.errors import CommandRefusedError
 from labhil.rig import Interlock, Limit
 
@@ -73,7 +74,7 @@ class HostConfig:
     @classmethod
     def from_line(cls, line: str) -> HostConfig:
         """Read what :meth:`to_line` wrote; ValueError when that is not what it is."""
-        data = json.loads(line)
+        data = parse_json(line)
         limits = {name: Limit.model_validate(limit) for name, limit in data["limits"].items()}
         return cls(
             str(data["device"]),
@@ -126,7 +127,7 @@ class Setpoint:
     def from_bytes(cls, payload: bytes) -> Setpoint:
         """Read what :meth:`to_bytes` wrote; CommandRefusedError when that is not what it is."""
         try:
-            data = json.loads(payload)
+            data = parse_json(payload)
         except ValueError as error:
             raise CommandRefusedError(f"a setpoint is JSON, found {payload[:40]!r}") from error
         if not isinstance(data, dict):

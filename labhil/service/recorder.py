@@ -8,7 +8,6 @@ disk that fails ends the recording, but never holds up the publishers.
 
 from __future__ import annotations
 
-import json
 import queue
 import threading
 import time
@@ -23,6 +22,7 @@ from labhil.bus.keys import ALL_SCHEMAS, ALL_STREAMS, EVENT, SETPOINT, schema_ke
 from labhil.bus.session import Bus
 from labhil.bus.subscribe import subscribe
 from labhil.codec import stream_from_json
+from labhil.documents import parse_json
 from labhil.errors import BusError, CommandRefusedError, ProtocolError, RecordingFailedError
 from labhil.recording.device_clocks import ClockWatch, DeviceClock, clocks_to_metadata
 from labhil.recording.writer import RecordingWriter
@@ -252,7 +252,7 @@ class Recorder:
     def _schema_of(self, channel: RecordedStream) -> dict[str, Any] | None:
         told = self._told.get((channel.device, channel.stream))
         if told is not None:
-            return dict(json.loads(told))
+            return dict(parse_json(told))
         if time.monotonic() < channel.asked_at + SCHEMA_INTERVAL:
             return None
         channel.asked_at = time.monotonic()
@@ -313,7 +313,7 @@ class Recorder:
 def _event(payload: bytes) -> tuple[int, dict[str, Any]]:
     """The time and the body of an event; one that is no JSON is kept as text."""
     try:
-        body = json.loads(payload)
+        body = parse_json(payload)
         t_ns = int(body["t_ns"])
     except (ValueError, KeyError, TypeError):
         return time.time_ns(), {"text": payload.decode("utf-8", "replace")}

@@ -6,7 +6,6 @@ lease). The screen reads snapshots when it draws; no sample ever becomes a messa
 
 from __future__ import annotations
 
-import json
 import threading
 import time
 from collections import deque
@@ -24,6 +23,7 @@ from labhil.bus.live import live_devices
 from labhil.bus.session import Bus
 from labhil.bus.subscribe import subscribe
 from labhil.codec import Codec, stream_from_json
+from labhil.documents import parse_json
 from labhil.errors import BusError, CommandRefusedError, ProtocolError
 from labhil.signals import FloatArray, Signal, Stream
 from labhil.tui.ring import Ring
@@ -220,7 +220,7 @@ class Watch:
 
     def _take_schemas(self, key: str, payloads: list[bytes]) -> None:
         try:
-            self._learn(*split_key(key), json.loads(payloads[-1]))
+            self._learn(*split_key(key), parse_json(payloads[-1]))
         except UNEXPLAINED as error:
             self.trouble = f"{key}: {error}"
 
@@ -249,7 +249,7 @@ class Watch:
 
     def _note(self, device: str, payload: bytes) -> None:
         try:
-            body = json.loads(payload)
+            body = parse_json(payload)
             text = str(body.get("message") or body.get("reason") or body.get("text") or "")
             said = Said(int(body["t_ns"]), device, str(body.get("kind", body.get("state", "note"))), text)
         except (ValueError, KeyError, TypeError, AttributeError):

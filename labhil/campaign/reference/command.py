@@ -13,6 +13,7 @@ from labhil.campaign.reference.result import Reference
 from labhil.campaign.reference.run import Progress, run_reference
 from labhil.campaign.reference.show import show_reference
 from labhil.report.results import write_json
+from labhil.terminal import terminal
 from labhil.whole import whole
 
 WIDTH = 200
@@ -36,8 +37,8 @@ def reference_command(
     UnknownNameError for a table that does not exist.
     """
     reference = run_reference(tables, quick=quick, seed=seed, progress=progress, cache=cache)
-    shown = console or Console()
-    shown = shown if shown.is_terminal else Console(file=shown.file, width=WIDTH)
+    shown = console or terminal()
+    shown = shown if shown.is_terminal else terminal(file=shown.file, width=WIDTH)
     shown.print(show_reference(reference))
     if markdown is not None:
         with whole(markdown, "the page") as draft:

@@ -7,7 +7,6 @@ reference text, whose print has two slips).
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from math import pi
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from labhil.documents import DocumentError, parse_toml
 from labhil.errors import RigFileError
 from labhil.kinds import JOINTS
 from labhil.rig import explain
@@ -119,10 +119,10 @@ def inertial_of(
 def load_links(path: Path) -> Links:
     """Read a table of links; RigFileError names the file, the joint's field and what was expected."""
     try:
-        data: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+        data: dict[str, Any] = parse_toml(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise RigFileError(f"{path}: cannot be read as a table of links (TOML): {error}") from error
-    except tomllib.TOMLDecodeError as error:
+    except DocumentError as error:
         raise RigFileError(f"{path}: not TOML: {error}") from error
     try:
         return Links.of(LinksFile.model_validate(data).joint)

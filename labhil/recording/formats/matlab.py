@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from labhil.bounds import ImplausibleError, refuse_claim
 from labhil.errors import TableError
 from labhil.recording.formats.columns import NumberColumns, number_columns, the_package
 from labhil.signals import FloatArray, Stream
@@ -25,10 +27,13 @@ def read_mat(path: Path) -> NumberColumns:
 
     The fields of a struct are variables ``struct.field``. TableError where there are no columns.
     """
-    from scipy.io import loadmat
+    from scipy.io import loadmat, whosmat
 
     try:
+        refuse_claim("the file", _claimed(whosmat(path)), path.stat().st_size)
         variables: dict[str, Any] = loadmat(path, struct_as_record=False)
+    except (ImplausibleError, MemoryError):
+        raise
     except Exception as error:  # a cut MAT file makes scipy raise almost anything
         raise TableError(f"{path}: expected a MAT file, found one that cannot be read: {error}") from error
     arrays = dict(_numeric_variables(variables))
@@ -39,6 +44,7 @@ def read_hdf5(path: Path) -> NumberColumns:
     """Read a MAT file of version 7.3, or any HDF5 file with columns, as :func:`read_mat` does."""
     h5py = the_package("h5py", "h5py", f"{path}: a MAT file of version 7.3 (HDF5)")
     arrays: dict[str, FloatArray] = {}
+    size, claimed = path.stat().st_size, 0
 
     def take(name: str, item: Any) -> None:
         shape = getattr(item, "shape", None)
@@ -46,6 +52,9 @@ def read_hdf5(path: Path) -> NumberColumns:
             return
         if item.attrs.get("MATLAB_class", b"") in NOT_NUMBERS or "MATLAB_empty" in item.attrs:
             return
+        nonlocal claimed
+        claimed += 8 * math.prod(shape)
+        refuse_claim(f"the dataset {name!r}", claimed, size)
         value = np.asarray(item[()], dtype=np.float64)
         # MATLAB writes its columns as HDF5's rows
         upright = value.T if "MATLAB_class" in item.attrs else value
@@ -54,6 +63,8 @@ def read_hdf5(path: Path) -> NumberColumns:
     try:
         with h5py.File(path, "r") as file:
             file.visititems(take)
+    except ImplausibleError:
+        raise
     except (OSError, RuntimeError, ValueError, KeyError) as error:
         raise TableError(f"{path}: expected an HDF5 file, found one that cannot be read: {error}") from error
     return _as_columns(path, {name: value for name, value in arrays.items() if _is_table(value)})
@@ -66,6 +77,11 @@ def write_mat(stream: Stream, t: FloatArray, values: FloatArray, out: Path) -> N
     variables = {signal.name: values[:, stream.columns_of(signal.name)] for signal in stream.signals}
     with out.open("wb") as file:
         savemat(file, {"t": t[:, None], **variables}, long_field_names=True, do_compression=True)
+
+
+def _claimed(variables: Iterable[tuple[str, tuple[int, ...], str]]) -> int:
+    """Bytes that the variables of a MAT file would take as numbers."""
+    return sum(8 * math.prod(shape) for _, shape, _ in variables)
 
 
 def _numeric_variables(variables: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, FloatArray]]:
