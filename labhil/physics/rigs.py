@@ -16,6 +16,7 @@ from labhil.physics.several import several
 from labhil.recording.reader import Recording, StreamData
 from labhil.rig import RigFile, default_rig
 from labhil.signals import Signal
+from labhil.terminal import printable_name
 
 ALL_SPEEDS = ("stribeck_friction", "quadratic_viscous_friction", "cubic_viscous_friction")
 
@@ -120,13 +121,19 @@ def compile_kernels(kinds: tuple[str, ...] = ("ball_beam",)) -> None:
         model.simulate(everything, record, windows, states)
 
 
+LARGEST_VALUE = 1e50
+SMALLEST_VALUE = 1e-50
+"""In SI units, far beyond anything on a bench. The laws take third powers and the residuals are squared:
+the sixth power of larger values overflows in a double, that of a signal that is smaller throughout is 0."""
+
+
 def record_of(recording: Recording, kind: RigKind) -> Record:
     """Take the signals of a rig out of a recording; RecordingError says which are missing."""
     devices = _devices_of(recording, kind)
     if len(devices) > 1:
         raise RecordingError(
-            f"{recording.path}: expected one device of kind {kind.name}, found {', '.join(devices)}; "
-            "choose one with --device"
+            f"{recording.path}: expected one device of kind {kind.name}, found "
+            f"{', '.join(map(printable_name, devices))}; choose one with --device"
         )
     for stream in recording.streams:
         names = set(stream.stream.names())
@@ -141,7 +148,9 @@ def record_of(recording: Recording, kind: RigKind) -> Record:
         inputs = [signal for signal in kind.inputs if signal.name in driven_by]
         inputs += [signal for signal in kind.optional if signal.name in names]
         others = [signal for signal in kind.auxiliary if signal.name in names]
-        return _record(stream, inputs, outputs, others)
+        record = _record(stream, inputs, outputs, others)
+        _refuse_extreme(recording, record)
+        return record
     raise RecordingError(f"{recording.path}: {_needed(kind)}; found {_found(recording)}")
 
 
@@ -178,6 +187,25 @@ def _record(stream: StreamData, inputs: list[Signal], outputs: list[Signal], oth
     )
 
 
+def _refuse_extreme(recording: Recording, record: Record) -> None:
+    """RecordingError for values that no model can calculate with."""
+    names = (*record.input_names, *record.output_names, *record.auxiliary)
+    columns = (*record.inputs.T, *record.outputs.T, *record.auxiliary.values())
+    for name, values in zip(names, columns, strict=True):
+        sizes = np.where(np.isfinite(values), np.abs(values), 0.0)
+        huge = np.flatnonzero(sizes > LARGEST_VALUE)
+        if len(huge):
+            raise RecordingError(
+                f"{recording.path}: {name}: expected values within ±{LARGEST_VALUE:g}, found "
+                f"{values[huge[0]]:g} at {record.t[huge[0]]:g} s, and {len(huge) - 1} more"
+            )
+        if 0.0 < sizes.max(initial=0.0) < SMALLEST_VALUE:
+            raise RecordingError(
+                f"{recording.path}: {name}: expected values beyond ±{SMALLEST_VALUE:g} or 0, "
+                f"found none beyond ±{sizes.max():g}"
+            )
+
+
 def _columns(stream: StreamData, signal: Signal) -> np.ndarray:
     return np.asarray(stream[signal.name]).reshape(len(stream), signal.width)
 
@@ -189,5 +217,8 @@ def _needed(kind: RigKind) -> str:
 
 
 def _found(recording: Recording) -> str:
-    streams = [f"{s.device}/{s.stream.name}: {', '.join(s.stream.names())}" for s in recording.streams]
+    streams = [
+        f"{printable_name(s.device)}/{printable_name(s.stream.name)}: {', '.join(s.stream.names())}"
+        for s in recording.streams
+    ]
     return "; ".join(streams) or recording.no_streams()

@@ -40,6 +40,9 @@ from labhil.recording.whole_records import (
 
 _DESCRIPTIONS: dict[int, Any] = {Opcode.SCHEMA: Schema.read, Opcode.CHANNEL: Channel.read}
 
+_INNER = {Opcode.MESSAGE, *_DESCRIPTIONS}
+"""What stands in chunks."""
+
 INDEXES = {
     Opcode.MESSAGE_INDEX,
     Opcode.CHUNK_INDEX,
@@ -109,6 +112,8 @@ class _Walk:
         self._found = Salvage()
         self._names = Definitions()
         self._budget = Budget.of(len(data))
+        self._resumed = False  # whether what comes may have been in a chunk whose head was damaged
+        self._stray: list[tuple[int, int]] = []  # where such messages stand in the file and in what was found
         self._hit: Loss | None = None  # the chunk that was lost last, until its index has been read
 
     def walk(self) -> Salvage:
@@ -121,13 +126,18 @@ class _Walk:
             end = whole_record(data, position)
             if end is None:
                 position = self._step_over(position)
+                self._resumed = True
                 continue
-            opcode = data[position]
+            opcode, body = data[position], data[position + RECORD.size : end]
+            self._resumed = self._resumed and opcode in _INNER
             if opcode == Opcode.CHUNK:
                 self._take_chunk(position, end)
+            elif self._resumed:
+                self._take_stray(opcode, position, body)
             else:
-                self._take(opcode, data[position + RECORD.size : end])
+                self._take(opcode, body)
             position = end
+        self._judge_stray()
         names = self._names
         names.settle({message.channel for message in found.messages})
         found.schemas, found.channels, found.spliced = names.schemas, names.channels, names.renumbered
@@ -138,9 +148,11 @@ class _Walk:
         data = self._data
         after = next_record(data, position + 1)
         chunk = chunk_header(data, position)
-        if chunk is not None and chunk.end > len(data) and after == len(data):
+        # in content that is not packed whole records follow, those of the chunk itself
+        last = after == len(data) or (chunk is not None and not chunk.compression)
+        if chunk is not None and chunk.end > len(data) and last:
             self._take_cut_chunk(position, chunk)
-            return after
+            return len(data)
         if self._rescue_chunk(position, after):
             return after
         looks_like_chunk = data[position] == Opcode.CHUNK
@@ -180,6 +192,28 @@ class _Walk:
             found.statistics = Statistics.read(stream)
         elif opcode == Opcode.FOOTER:
             found.ended = True
+
+    def _take_stray(self, opcode: int, position: int, body: bytes) -> None:
+        """Take a message or a description after a damaged part: it may be a piece of a damaged chunk."""
+        if opcode == Opcode.MESSAGE:
+            self._stray.append((position, len(self._found.messages)))
+            self._take(opcode, body)
+        else:
+            self._describe(opcode, body, sound=False)
+
+    def _judge_stray(self) -> None:
+        """In a file with chunks no checksum guards messages outside of them: they are doubtful."""
+        found = self._found
+        if not self._stray or not (found.chunks or any(loss.chunk for loss in found.losses)):
+            return
+        if self._keep_doubtful:
+            found.doubtful += len(self._stray)
+            return
+        for position, place in reversed(self._stray):
+            message = found.messages.pop(place)
+            end = position + RECORD.size + MESSAGE.size + len(message.data)
+            found.losses.append(Loss(position, end, "a message outside the chunks, without a checksum"))
+        found.losses.sort(key=lambda loss: loss.start)
 
     def _count_lost(self, body: bytes) -> None:
         if self._hit is None or not self._hit.chunk:

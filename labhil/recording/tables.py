@@ -297,7 +297,8 @@ def _place(sheet: _Sheet, name: str, source: Column) -> int:
 
 def _scaled(sheet: _Sheet, mapped: _Mapped) -> FloatArray:
     raw = np.column_stack([sheet.columns.numbers(column, mapped.signal.hold) for column in mapped.columns])
-    return np.asarray(raw * mapped.scale + mapped.offset, dtype=np.float64)
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite makes a bad row
+        return np.asarray(raw * mapped.scale + mapped.offset, dtype=np.float64)
 
 
 def _finite_rows(sheet: _Sheet, taken: list[tuple[_Mapped, FloatArray]]) -> Mask:

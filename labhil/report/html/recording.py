@@ -135,7 +135,8 @@ def _signal_rows(data: StreamData, name: str) -> Iterator[list[Content]]:
     for column, title in enumerate(signal.columns()):
         values = columns[:, column]
         values = values[np.isfinite(values)]
-        told = [float(f(values)) if len(values) else None for f in (np.min, np.max, np.mean, np.std)]
+        with np.errstate(over="ignore", invalid="ignore"):  # of the largest doubles; shown as no number
+            told = [float(f(values)) if len(values) else None for f in (np.min, np.max, np.mean, np.std)]
         yield [
             tag("code", title),
             signal.direction.value,
