@@ -206,6 +206,8 @@ def _account(source: Path, data: bytes, out: Path, found: Salvage, known: Sequen
     # the statistics of a file that is pieced together count by numbers that mean several things
     counted = found.statistics is not None and not found.spliced
     told = found.statistics.channel_message_counts if found.statistics and counted else {}
+    if any(len(messages) > told.get(number, 0) for number, messages in by_channel.items()):
+        told = {}  # they are those of a part of it only
     indexed: Counter[int] = Counter()
     for loss in found.losses:
         indexed.update(loss.messages)
