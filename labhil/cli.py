@@ -21,6 +21,7 @@ from labhil.commands.serve import add_serve
 from labhil.commands.studies import add_studies
 from labhil.commands.trials import add_trials
 from labhil.commands.tui import add_tui
+from labhil.console import forgiving_streams
 from labhil.errors import LabhilError
 from labhil.terminal import complain, show
 
@@ -36,11 +37,12 @@ app = typer.Typer(
 
 def main() -> None:
     """Run the command line; ends the process with 0 (done), 1 (the run came to grief) or 2 (wrong use)."""
-    try:
-        app()
-    except LabhilError as error:
-        complain(error)
-        sys.exit(error.exit_status)
+    with forgiving_streams():
+        try:
+            app()
+        except LabhilError as error:
+            complain(error)
+            sys.exit(error.exit_status)
 
 
 def _print_version(wanted: bool) -> None:

@@ -96,6 +96,13 @@ class Codec:
             return self.decode_rows(rows)
         return self._decode_foreign(payloads)
 
+    def is_own(self, payload: bytes) -> bool:
+        """Whether this is a message in our layout; what others wrote with a library of theirs is not."""
+        if len(payload) != self.size:
+            return False
+        row = np.frombuffer(payload, dtype=np.uint8)
+        return bool(np.array_equal(row[self._prefix_at], self._prefixes))
+
     def decode_rows(self, rows: ByteRows) -> Batch:
         """Read messages that stand as rows of bytes, shape (n, size); ProtocolError as in ``decode``."""
         if not np.array_equal(

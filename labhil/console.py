@@ -2,23 +2,117 @@
 
 from __future__ import annotations
 
+import errno
+import io
 import json
+import os
+import sys
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
-from labhil.errors import UsageError
+from labhil.ending import Deadline, EndedEarly
+from labhil.errors import RunStoppedError, UsageError
 from labhil.terminal import complain, printable, printable_json, show, terminal
 from labhil.whole import whole
+
+STDOUT = Path("-")
+"""What stands for stdout where the path of a result is asked for."""
+
+
+class _Outlet(io.RawIOBase):
+    """A descriptor that is written to as long as somebody takes it; ``failure`` is why it takes no more.
+
+    A reader that has seen enough (``| head -1``) is no failure.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._closed_by_reader = False
+        self.failure: OSError | None = None
+
+    def writable(self) -> bool:
+        return True
+
+    def fileno(self) -> int:
+        return self._descriptor
+
+    def isatty(self) -> bool:
+        return os.isatty(self._descriptor)
+
+    def write(self, data: Any) -> int:
+        if self._closed_by_reader or self.failure is not None:
+            return len(data)
+        try:
+            return os.write(self._descriptor, data)
+        except BrokenPipeError:
+            self._closed_by_reader = True
+        except OSError as error:
+            if error.errno == errno.EAGAIN:
+                raise
+            self.failure = error
+        return len(data)
+
+
+@contextmanager
+def forgiving_streams() -> Iterator[None]:
+    """Let no result be lost to stdout: a closed pipe is no failure, what it cannot encode becomes "?".
+
+    Where stdout fails otherwise (a full disk) that is told at the end, with exit status 1.
+    """
+    before = sys.stdout, sys.stderr
+    outlets: list[_Outlet] = []
+    sys.stdout, sys.stderr = (_forgiving(stream, outlets) for stream in before)
+    try:
+        yield
+    finally:
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError):
+                stream.flush()
+        failure = next((outlet.failure for outlet in outlets if outlet.fileno() == 1), None)
+        if failure is not None:
+            with suppress(OSError):
+                complain(f"stdout could not be written: {failure.strerror}")
+            sys.exit(1)
+
+
+def _forgiving(stream: TextIO, outlets: list[_Outlet]) -> TextIO:
+    """The same stream over an outlet; anything but a descriptor of this process stays as it is."""
+    if not isinstance(stream, io.TextIOWrapper) or stream not in (sys.__stdout__, sys.__stderr__):
+        return stream
+    with suppress(OSError, ValueError):
+        stream.flush()
+    outlets.append(_Outlet(stream.fileno()))
+    errors = "replace" if stream is sys.__stdout__ else "backslashreplace"
+    return io.TextIOWrapper(
+        io.BufferedWriter(outlets[-1]),
+        encoding=stream.encoding,
+        errors=errors,
+        line_buffering=stream.line_buffering or stream is sys.__stderr__,
+        write_through=stream.write_through,
+    )
+
+
+def deliver(data: dict[str, Any], path: Path | None, display: Callable[[], object]) -> None:
+    """Save a result, then show it: what fails while it is shown cannot lose it.
+
+    With the path ``-`` it goes to stdout as JSON, and nothing else does.
+    """
+    if path is not None:
+        write_json(data, path)
+    if path != STDOUT:
+        display()
 
 
 def write_json(data: dict[str, Any], path: Path | None = None) -> None:
     """Write a result as JSON, to stdout or a file; numbers that are not finite have been made None before."""
-    text = json.dumps(data, ensure_ascii=False, allow_nan=False, indent=1)
-    if path is None:
-        show(printable_json(text))
+    if path is None or path == STDOUT:
+        # a terminal that knows fewer characters gets them as JSON writes them in ASCII
+        ascii_only = "utf" not in (getattr(sys.stdout, "encoding", None) or "utf-8").lower()
+        show(printable_json(json.dumps(data, ensure_ascii=ascii_only, allow_nan=False, indent=1)))
         return
+    text = json.dumps(data, ensure_ascii=False, allow_nan=False, indent=1)
     with whole(path, "the result") as draft:
         draft.write_text(text + "\n", encoding="utf-8")
 
@@ -26,9 +120,11 @@ def write_json(data: dict[str, Any], path: Path | None = None) -> None:
 def refuse_unwritable(*paths: Path | None) -> None:
     """Raise UsageError for a result's path that cannot be a file there, before the work and not after it."""
     for path in paths:
-        if path is not None and path.is_dir():
+        if path is None or path == STDOUT:
+            continue
+        if path.is_dir():
             raise UsageError(f"{path}: expected a file to write, found a folder")
-        if path is not None and not path.parent.is_dir():
+        if not path.parent.is_dir():
             raise UsageError(f"{path}: expected a folder {path.parent} to write into, found none")
 
 
@@ -62,3 +158,24 @@ def results_console() -> Any:
     """A console for results on stdout: as wide as the terminal, wide enough for a table elsewhere."""
     console = terminal()
     return console if console.is_terminal else terminal(width=140)
+
+
+@contextmanager
+def ending_early(seconds: float | None = None) -> Iterator[Deadline]:
+    """Let Ctrl+C, SIGTERM or the end of ``seconds`` end a long computation with the best so far.
+
+    RunStoppedError where there is nothing yet by then.
+    """
+    with Deadline(seconds) as deadline:
+        try:
+            yield deadline
+        except EndedEarly as early:
+            raise RunStoppedError(f"ended early ({early}), before there was a result") from early
+
+
+@contextmanager
+def early_line(complete: bool, deadline: Deadline, json_path: Path | None) -> Iterator[None]:
+    """Say first of all of a result that it was ended early."""
+    if not complete and json_path != STDOUT:
+        show(f"ENDED EARLY ({deadline.reason}): the best so far; more time may change it.")
+    yield

@@ -1,4 +1,4 @@
-"""When a twin is to end, and what it is told meanwhile: signals, and lines on the pipe of its parent."""
+"""When something is to end: a twin, by signals and lines on the pipe of its parent; a computation, early."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import signal
 import stat
 import sys
 import threading
+import time
 from collections.abc import Callable, Sequence
 from types import FrameType, TracebackType
 from typing import Any, Self
@@ -32,6 +33,71 @@ class Handled:
         """Give them back to whoever had them."""
         for number, handler in self._before.items():
             signal.signal(number, handler)
+
+
+class EndedEarly(Exception):  # noqa: N818 - no error: whoever has a result by then returns that
+    """Work is to end with the best so far. ``theta`` is where it stood, if that is known, (P,)."""
+
+    theta: Any = None
+
+
+class Deadline:
+    """Context in which SIGINT, SIGTERM or ``seconds`` end a long computation with the best so far.
+
+    The computation asks :func:`checkpoint` now and then. Who catches what that raises calls :func:`accept`,
+    and may then compute what a result needs. A second Ctrl+C breaks in as ever.
+    """
+
+    _present: Deadline | None = None
+
+    def __init__(self, seconds: float | None = None) -> None:
+        self.reason = ""
+        self._at = float("inf") if seconds is None else time.monotonic() + seconds
+        self._seconds = seconds
+        self._accepted = False
+        self._handled = Handled((signal.SIGINT, signal.SIGTERM), self._told)
+
+    def __enter__(self) -> Self:
+        self._before, Deadline._present = Deadline._present, self
+        self._handled.put()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._handled.put_back()
+        Deadline._present = self._before
+
+    def check(self) -> None:
+        """Raise EndedEarly where it is time to end; safe from any thread."""
+        if self._accepted:
+            return
+        if not self.reason and time.monotonic() > self._at:
+            self.reason = f"{self._seconds:g} s are over"
+        if self.reason:
+            raise EndedEarly(self.reason)
+
+    def accept(self) -> None:
+        """Raise nothing any more: somebody ends with the best so far."""
+        self._accepted = True
+
+    def _told(self, number: int, _frame: FrameType | None) -> None:
+        if self.reason:
+            raise KeyboardInterrupt
+        self.reason = signal.Signals(number).name
+
+
+def checkpoint() -> None:
+    """Raise EndedEarly where the present :class:`Deadline` says so; cheap, and safe from any thread."""
+    present = Deadline._present
+    if present is not None:
+        present.check()
+
+
+def accept() -> None:
+    """Let the present :class:`Deadline` raise nothing any more; safe to call without one."""
+    if Deadline._present is not None:
+        Deadline._present.accept()
 
 
 class Ending:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
+from math import isfinite
 
 from labhil.errors import UnknownNameError, UsageError
 from labhil.signals import Direction, Hold, Signal
@@ -15,12 +16,31 @@ INPUT, OUTPUT, STATUS = Direction.INPUT, Direction.OUTPUT, Direction.STATUS
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """What ``[known]`` may say of one name: a number, ``width`` numbers, or the path of a table."""
+    """What ``[known]`` may say of one name: a number, ``width`` numbers, or the path of a table.
+
+    A number must be above 0; ``zero`` allows 0 too, where a rig may lack what the number measures (a spring)
+    and the model is defined without it; ``positive=False`` allows every finite number (a position).
+    """
 
     unit: str
     width: int = 1
     positive: bool = True
     table: bool = False
+    zero: bool = False
+
+    def admits(self, number: float) -> bool:
+        """Whether the quantity may have this value."""
+        return isfinite(number) and (not self.positive or number > 0.0 or (self.zero and number == 0.0))
+
+    def expected(self) -> str:
+        """What a rig file must give, for messages."""
+        if self.table:
+            return "the path of a table"
+        if not self.positive:
+            return "a finite number" if self.width == 1 else f"{self.width} finite numbers"
+        if self.zero:
+            return "0 or a positive number" if self.width == 1 else f"{self.width} numbers of 0 or more"
+        return "a positive number" if self.width == 1 else f"{self.width} positive numbers"
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +98,7 @@ DC_MOTOR = RigKind(
     known={
         "inertia": Known("kg·m²"),
         "torque_constant": Known("N·m/A"),
-        "inductance": Known("H"),
+        "inductance": Known("H", zero=True),
         "resistance": Known("Ω"),
     },
 )
@@ -95,7 +115,7 @@ SOLENOID = RigKind(
     ),
     known={
         "moving_mass": Known("kg"),
-        "spring_stiffness": Known("N/m"),
+        "spring_stiffness": Known("N/m", zero=True),
         "stop_low": Known("m", positive=False),
         "stop_high": Known("m", positive=False),
         "force_map": Known("", table=True),

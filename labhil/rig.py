@@ -5,15 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from math import inf, isfinite
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from labhil.documents import DocumentError, parse_toml
 from labhil.errors import RigFileError, suggestion
 from labhil.kinds import Known, RigKind, kind_named, kind_names
+from labhil.signals import Hold
 
 Threshold = Annotated[float, Field(allow_inf_nan=False)] | None
+
+
+LARGEST_FILE = 32 << 20
+"""Bytes of a file that a rig file names. It goes into every recording; half a million points fit into it."""
 
 
 class _Section(BaseModel):
@@ -97,16 +102,30 @@ class Metric(_Section):
 
 
 class Table(_Section):
-    """``[table]``: how to read a file that is not already in our names and units."""
+    """``[table]``: how to read a file that is not already in our names and units.
+
+    ``thousands`` is the mark that groups digits; ``part`` (from 1) the stretch to take of a table whose clock
+    begins anew; ``blanks = "fill"`` also fills empty cells of a slower output; ``bad_rows`` drops or refuses
+    what cannot be read: without it a few rows are dropped, and many refused.
+    """
 
     header: bool | None = None
     delimiter: Literal["comma", "tab", "whitespace", "semicolon"] | None = None
     rate: Annotated[float, Field(gt=0)] | None = None
     decimal: Literal[".", ","] = "."
+    thousands: Literal[".", ",", "'", " "] | None = None
     skip_rows: Annotated[int, Field(ge=0)] = 0
     comment: str | None = None
     sheet: str | None = None
-    bad_rows: Literal["drop", "fail"] = "drop"
+    part: Annotated[int, Field(ge=1)] | None = None
+    blanks: Literal["fill"] | None = None
+    bad_rows: Literal["drop", "fail"] | None = None
+
+    @model_validator(mode="after")
+    def _marks_differ(self) -> Table:
+        if self.thousands == self.decimal:
+            raise ValueError(f"decimal and thousands are both {self.decimal!r}; they must differ")
+        return self
 
 
 Column = Annotated[int, Field(ge=0)] | str
@@ -114,12 +133,20 @@ Factor = float | list[float]
 
 
 class Channel(_Section):
-    """One entry of ``[channels]``: value = raw · ``scale`` + ``offset``; columns by name or number."""
+    """One entry of ``[channels]``: value = raw · ``scale`` + ``offset``; columns by name or number.
+
+    ``hold`` says how an input runs between samples: "zero" keeps the earlier value, "linear" is straight.
+    ``unwrap`` is the period (in the signal's unit) after which a position begins anew, to be undone.
+    ``shift`` (s) is added to the channel's own stamps: −0.01 for stamps that are 10 ms late.
+    """
 
     column: Column | None = None
     columns: list[Column] | None = None
     scale: Factor = 1.0
     offset: Factor = 0.0
+    hold: Hold | None = None
+    unwrap: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    shift: Annotated[float, Field(allow_inf_nan=False)] = 0.0
 
     @model_validator(mode="after")
     def _one_way(self) -> Channel:
@@ -138,8 +165,26 @@ class Channel(_Section):
         return () if self.column is None else (self.column,)
 
 
+class KnownFile(NamedTuple):
+    """A file that ``[known]`` names: where it stands, for messages, and its content."""
+
+    source: str
+    content: bytes
+
+    def text(self) -> str:
+        """The content as UTF-8; RigFileError when it is none."""
+        try:
+            return self.content.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            raise RigFileError(f"{self.source}: expected text (UTF-8), found {error}") from error
+
+
 class RigFile(_Section):
-    """A whole rig file; ``path`` and ``text`` say where it came from (a file or an attachment)."""
+    """A whole rig file; ``path`` and ``text`` say where it came from (a file or an attachment).
+
+    ``files`` holds the content of the files that ``[known]`` names, by the names in ``[known]``, so that a
+    recording can carry them.
+    """
 
     rig: RigSection
     known: dict[str, float | list[float] | str] = {}
@@ -151,6 +196,7 @@ class RigFile(_Section):
     channels: dict[str, Channel] = {}
     path: Path = Field(default=Path("rig.toml"), exclude=True)
     text: str = Field(default="", exclude=True)
+    files: dict[str, bytes] = Field(default={}, exclude=True)
 
     @property
     def kind(self) -> RigKind:
@@ -172,6 +218,18 @@ class RigFile(_Section):
         value = self.known.get(name)
         return self.path.parent / value if isinstance(value, str) else None
 
+    def known_file(self, name: str) -> KnownFile | None:
+        """A file of ``[known]``: the one that travels with this rig file, else the one beside it.
+
+        None when the rig file names none. RigFileError when the file cannot be found or read.
+        """
+        path = self.known_path(name)
+        if path is None:
+            return None
+        if name in self.files:
+            return KnownFile(f"{self.path}: {self.known[name]}", self.files[name])
+        return KnownFile(str(path), _content(path, f"{self.path}: known.{name}"))
+
     @field_validator("nominal", mode="before")
     @classmethod
     def _flattened(cls, value: object) -> object:
@@ -185,6 +243,7 @@ class RigFile(_Section):
         _check_names("limits", self.limits, signals | columns)
         _check_names("interlocks", self.interlocks, signals)
         _check_names("channels", self.channels, signals | {"t"})
+        _check_keys_of_channels(self)
         for name, value in self.known.items():
             _check_known(name, value, self.kind.known[name])
         _check_geometry(self)
@@ -195,16 +254,27 @@ class RigFile(_Section):
 
 
 def load_rig(path: Path) -> RigFile:
-    """Read a rig file; RigFileError names the file, the field and what was expected."""
+    """Read a rig file and the files that it names; RigFileError says where, and what was expected."""
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise RigFileError(f"{path}: cannot be read as a rig file (TOML): {error}") from error
-    return parse_rig(text, path)
+    rig = parse_rig(text, path)
+    found = {name: rig.known_file(name) for name, what in rig.kind.known.items() if what.table}
+    return rig.model_copy(update={"files": {name: file.content for name, file in found.items() if file}})
 
 
-def parse_rig(text: str, path: Path) -> RigFile:
-    """Read the text of a rig file; ``path`` serves messages and relative paths."""
+def parse_rig(text: str, path: Path, files: Mapping[str, bytes] | None = None) -> RigFile:
+    """Read the text of a rig file.
+
+    Args:
+        text: What the file holds (TOML).
+        path: Where it stands; serves messages and relative paths.
+        files: The content of files that ``[known]`` names, where they come with the text.
+
+    Raises:
+        RigFileError: The file, the field, what was expected and what was found.
+    """
     try:
         data = parse_toml(text)
     except DocumentError as error:
@@ -216,7 +286,7 @@ def parse_rig(text: str, path: Path) -> RigFile:
         )
     _refuse_reserved(data, path)
     try:
-        return RigFile.model_validate({**data, "path": path, "text": text})
+        return RigFile.model_validate({**data, "path": path, "text": text, "files": dict(files or {})})
     except ValidationError as error:
         raise RigFileError(explain(error, path, RigFile)) from error
 
@@ -278,21 +348,29 @@ def _check_names(section: str, given: Mapping[str, object], known: set[str]) -> 
             )
 
 
+def _check_keys_of_channels(rig: RigFile) -> None:
+    """ValueError for a key of ``[channels]`` where it means nothing."""
+    inputs = {signal.name for signal in (*rig.kind.inputs, *rig.kind.optional)}
+    for name, channel in rig.channels.items():
+        if channel.hold is not None and name not in inputs:
+            raise ValueError(
+                f"channels.{name}.hold: only an input runs on between samples; inputs: "
+                f"{', '.join(sorted(inputs))}"
+            )
+        if name == "t" and (channel.unwrap is not None or channel.shift):
+            raise ValueError("channels.t: `unwrap` and `shift` belong to the signals, not to the time")
+
+
 def _check_known(name: str, value: object, what: Known) -> None:
     """ValueError unless ``[known]`` gives for a name what belongs there."""
     if what.table:
         if not isinstance(value, str) or not value:
-            raise ValueError(f"known.{name} must be the path of a table, found {value!r}")
+            raise ValueError(f"known.{name} must be {what.expected()}, found {value!r}")
         return
     numbers = value if isinstance(value, list) else [value]
-    wanted = "a positive number" if what.positive else "a finite number"
-    if what.width > 1:
-        wanted = f"{what.width} {'positive' if what.positive else 'finite'} numbers"
     fits = isinstance(value, list) == (what.width > 1) and len(numbers) == what.width
-    if not fits or not all(
-        isinstance(x, float) and isfinite(x) and (x > 0 or not what.positive) for x in numbers
-    ):
-        raise ValueError(f"known.{name} must be {wanted}, found {value!r}")
+    if not fits or not all(isinstance(x, float) and what.admits(x) for x in numbers):
+        raise ValueError(f"known.{name} must be {what.expected()}, found {value!r}")
 
 
 def _check_geometry(rig: RigFile) -> None:
@@ -304,9 +382,24 @@ def _check_geometry(rig: RigFile) -> None:
 
 
 def _refuse_reserved(data: Mapping[str, object], path: Path) -> None:
-    for name in ("path", "text"):
+    for name in ("path", "text", "files"):
         if name in data:
             raise RigFileError(f"{path}: {name}: unknown key; known: {', '.join(_fields_at(RigFile, ()))}")
+
+
+def _content(path: Path, field: str) -> bytes:
+    """The bytes of a file that a rig file names; RigFileError when it is not there, or no such file."""
+    hint = "paths are relative to the rig file; a recording's own rig file is replaced by --rig RIG.toml"
+    if not path.is_file():
+        found = "something else" if path.exists() else "none"
+        raise RigFileError(f"{field}: expected the file {path}, found {found} ({hint})")
+    size = path.stat().st_size
+    if size > LARGEST_FILE:
+        raise RigFileError(f"{field}: expected at most {LARGEST_FILE} bytes, found {path} with {size}")
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise RigFileError(f"{field}: {path}: cannot be read: {error.strerror}") from error
 
 
 def _flatten(value: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

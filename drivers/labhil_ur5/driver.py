@@ -14,6 +14,7 @@ from typing import ClassVar, Self
 
 from labhil.driver import Counters, DeviceInfo, DriverSpec
 from labhil.errors import CommandRefusedError, ConnectError, DeviceError, DeviceResetError, ProtocolError
+from labhil.host_clock import unix_ns
 from labhil.signals import Batch, Stream
 from labhil_ur5.dashboard import Dashboard
 from labhil_ur5.declared import (
@@ -194,7 +195,7 @@ class Ur5Driver:
 
     def _stamped(self, rows: list[Row]) -> list[Row]:
         """Give samples that were waiting together the times at which they must have come in."""
-        now = time.time_ns()
+        now = unix_ns()
         stamped = []
         for seq, _, t_hw_ns, values in rows:
             self._acquired_ns = max(self._acquired_ns, now - (rows[-1][2] - t_hw_ns))

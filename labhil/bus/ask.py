@@ -6,32 +6,70 @@ import json
 import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from types import TracebackType
 from typing import Any, Self
 
 import zenoh
 
+from labhil.bus.authentication import Refusals
+from labhil.bus.incoming import LARGEST, ErrorReply, dump, load, parse
 from labhil.bus.session import Bus
-from labhil.documents import parse_json
 from labhil.errors import BusError, CommandRefusedError
 
-Handler = Callable[[dict[str, Any]], Mapping[str, Any]]
+Handler = Callable[[Any], Mapping[str, Any]]
 """Receives what was asked and returns the answer; what it raises goes back as an error."""
+
+Reader = Callable[[bytes], Any]
+"""Reads a question; CommandRefusedError where it is none."""
+
+LONGEST = 4000
+"""Characters of an error's message that are sent."""
+
+LARGEST_ANSWER = 2 * 1024 * 1024
+"""Bytes: a schema has the descriptor of its stream in it."""
+
+
+def _any_object(payload: bytes) -> dict[str, Any]:
+    return load(payload, "a question")
 
 
 class Answering:
-    """A key whose questions are answered, one after another, by a thread of its own."""
+    """A key whose questions are answered, one after another, by a thread of its own.
 
-    def __init__(self, bus: Bus, key: str, handler: Handler) -> None:
-        self._key = key
-        self._handler = handler
+    ``reader`` turns a payload into what the handler gets. A question for which ``guarded`` is true has to be
+    signed with the session's key. What is refused before the handler sees it is counted in ``refusals``.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        key: str,
+        handler: Handler,
+        *,
+        reader: Reader = _any_object,
+        guarded: Callable[[Any], bool] = lambda _: False,
+        refusals: Refusals | None = None,
+    ) -> None:
+        self._bus, self._key, self._closed = bus, key, False
+        self._handler, self._reader, self._guarded = handler, reader, guarded
+        self._refusals = refusals or Refusals()
+        self._verifier = bus.verifier()
         self._queryable = bus.session.declare_queryable(key, zenoh.handlers.FifoChannel(256), complete=True)
         self._queries = self._queryable.handler
         self._thread = threading.Thread(target=self._run, name=f"serve {key}")
         self._thread.start()
+        bus.attend(self)
+
+    def failure(self) -> str:
+        """Return why nobody is answered any more, though nobody closed it; empty while all is well."""
+        gone = not self._closed and not self._thread.is_alive()
+        return f"{self._key}: the thread that answers there has died" if gone else ""
 
     def close(self) -> None:
         """Stop answering; safe to call twice, but not from the handler."""
+        self._closed = True
+        self._bus.dismiss(self)
         if self._thread.is_alive():
             self._queryable.undeclare()
             self._thread.join()
@@ -50,23 +88,59 @@ class Answering:
                 query = self._queries.recv()
             except zenoh.ZError:
                 return  # undeclared
-            with query:
+            # whoever asked may be gone, or have asked for an answer that cannot be sent: the next one is not
+            with suppress(zenoh.ZError), query:
                 self._answer(query)
 
     def _answer(self, query: zenoh.Query) -> None:
         try:
-            payload = query.payload.to_bytes() if query.payload is not None else b"{}"
-            answer = json.dumps(dict(self._handler(parse_json(payload))))
+            answer = dump(self._handler(self._admitted(query)))
         except Exception as error:  # noqa: BLE001 - a handler that raises must not leave the caller waiting
-            told = {"error": type(error).__name__, "message": str(error), "key": self._key}
-            query.reply_err(json.dumps(told))
+            told = {"error": type(error).__name__, "message": str(error)[:LONGEST], "key": self._key}
+            query.reply_err(dump(told))
         else:
             query.reply(self._key, answer)
 
+    def _admitted(self, query: zenoh.Query) -> Any:
+        """What is asked, if it may be."""
+        try:
+            payload = _payload(query)
+            asked = self._reader(payload)
+            if self._guarded(asked):
+                self._refuse_unsigned(query, payload)
+        except CommandRefusedError as error:
+            self._refusals.note(self._key, str(error))
+            raise
+        return asked
 
-def serve(bus: Bus, key: str, handler: Handler) -> Answering:
-    """Answer questions at ``key`` with ``handler`` until the result is closed."""
-    return Answering(bus, key, handler)
+    def _refuse_unsigned(self, query: zenoh.Query, payload: bytes) -> None:
+        attached = query.attachment
+        code = None if attached is None else attached.to_bytes()
+        objection = self._verifier.objection(str(query.key_expr), payload, code)
+        if objection:
+            raise CommandRefusedError(objection)
+
+
+def _payload(query: zenoh.Query) -> bytes:
+    payload = query.payload
+    if payload is None or len(payload) == 0:
+        return b"{}"
+    if len(payload) > LARGEST:
+        raise CommandRefusedError(f"a question has at most {LARGEST} bytes, this one {len(payload)}")
+    return payload.to_bytes()
+
+
+def serve(
+    bus: Bus,
+    key: str,
+    handler: Handler,
+    *,
+    reader: Reader = _any_object,
+    guarded: Callable[[Any], bool] = lambda _: False,
+    refusals: Refusals | None = None,
+) -> Answering:
+    """Answer questions at ``key`` with ``handler`` until the result is closed; see :class:`Answering`."""
+    return Answering(bus, key, handler, reader=reader, guarded=guarded, refusals=refusals)
 
 
 def ask(
@@ -83,7 +157,7 @@ def ask(
     a busy machine that is seconds. CommandRefusedError when it was refused; BusError when nobody
     answers or the answer is an error.
     """
-    question = json.dumps(dict(payload or {}))
+    question = _question(payload)
     answer = _ask_once(bus, key, question, timeout)
     give_up = time.monotonic() + patience
     while answer is None and (bus.settling or time.monotonic() < give_up):
@@ -102,12 +176,22 @@ def ask_all(
     Who has not answered within ``timeout`` s, or is not known yet, is simply not there.
     """
     answers: dict[str, dict[str, Any] | BusError | CommandRefusedError] = {}
-    question = json.dumps(dict(payload or {}))
+    question = _question(payload)
     try:
-        replies = bus.session.get(key, payload=question, timeout=timeout, target=zenoh.QueryTarget.ALL)
+        replies = bus.session.get(
+            key,
+            payload=question,
+            attachment=bus.sign(key, question),
+            timeout=timeout,
+            target=zenoh.QueryTarget.ALL,
+        )
         for reply in replies:
             if reply.ok is not None:
-                answers[str(reply.ok.key_expr)] = dict(parse_json(reply.ok.payload.to_bytes()))
+                place = str(reply.ok.key_expr)
+                try:
+                    answers[place] = load(reply.ok.payload.to_bytes(), place, LARGEST_ANSWER)
+                except CommandRefusedError as error:
+                    answers[place] = BusError(f"the answer is none: {error}")
             elif reply.err is not None:
                 found = reply.err.payload.to_bytes()
                 answers[_key_in(found)] = _error(key, found, timeout)
@@ -117,15 +201,24 @@ def ask_all(
     return answers
 
 
-def _ask_once(bus: Bus, key: str, question: str, timeout: float) -> dict[str, Any] | None:
+def _question(payload: Mapping[str, Any] | None) -> bytes:
+    # as it was meant, NaN and all: the one who is asked says what is wrong with it
+    return json.dumps(dict(payload or {}), ensure_ascii=False).encode("utf-8", "replace")
+
+
+def _ask_once(bus: Bus, key: str, question: bytes, timeout: float) -> dict[str, Any] | None:
     """Return the answer, or None when no peer that is known answers at ``key``."""
     try:
         replies = bus.session.get(
-            key, payload=question, timeout=timeout, target=zenoh.QueryTarget.BEST_MATCHING
+            key,
+            payload=question,
+            attachment=bus.sign(key, question),
+            timeout=timeout,
+            target=zenoh.QueryTarget.BEST_MATCHING,
         )
         for reply in replies:
             if reply.ok is not None:
-                return dict(parse_json(reply.ok.payload.to_bytes()))
+                return _answer_in(key, reply.ok.payload.to_bytes())
             if reply.err is not None:
                 raise _error(key, reply.err.payload.to_bytes(), timeout)
     except zenoh.ZError as error:
@@ -133,20 +226,27 @@ def _ask_once(bus: Bus, key: str, question: str, timeout: float) -> dict[str, An
     return None
 
 
+def _answer_in(key: str, payload: bytes) -> dict[str, Any]:
+    try:
+        return load(payload, key, LARGEST_ANSWER)
+    except CommandRefusedError as error:
+        raise BusError(f"the answer is none: {error}") from error
+
+
 def _key_in(payload: bytes) -> str:
     """Which key an error came from; empty when it does not say."""
     try:
-        return str(parse_json(payload)["key"])
-    except (ValueError, KeyError, TypeError):
+        return parse(ErrorReply, payload, "an error").key
+    except CommandRefusedError:
         return ""
 
 
 def _error(key: str, payload: bytes, timeout: float) -> BusError | CommandRefusedError:
     try:
-        found: dict[str, str] = parse_json(payload)
-        kind, message = found["error"], found["message"]
-    except (ValueError, KeyError, TypeError):
-        text = payload.decode("utf-8", "replace")
+        found = parse(ErrorReply, payload, "an error")
+        kind, message = found.error, found.message
+    except CommandRefusedError:
+        text = payload[:200].decode("utf-8", "replace")
         return BusError(f"{key}: no answer within {timeout:g} s ({text})")
     if kind == CommandRefusedError.__name__:
         return CommandRefusedError(message)

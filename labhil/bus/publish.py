@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import json
 import queue
 import threading
 import time
@@ -14,11 +13,16 @@ from typing import Any, Self
 import zenoh
 
 from labhil.bus.ask import serve
+from labhil.bus.incoming import dump
 from labhil.bus.keys import event_key, schema_key, stream_key
 from labhil.bus.session import Bus
 from labhil.codec import Codec, stream_to_json
 from labhil.errors import BusError
+from labhil.host_clock import unix_ns
 from labhil.signals import Batch, Stream
+
+LONGEST_TEXT = 4000
+"""Characters of one text of an event: a run must not be deaf to one because its message is too large."""
 
 FIRST_LISTENER = 1.0
 """Seconds that the first samples wait in the queue for somebody to listen."""
@@ -56,6 +60,15 @@ class StreamPublisher:
         self._schema = serve(bus, self._schema_key, lambda _: self._reply)
         self._thread = threading.Thread(target=self._run, name=f"publish {key}")
         self._thread.start()
+        self._bus = bus
+        bus.attend(self)
+
+    def failure(self) -> str:
+        """Return why nothing is published any more, though nobody closed it; empty while all is well."""
+        if self.error is not None:
+            return str(self.error)
+        gone = not self._closing.is_set() and not self._thread.is_alive()
+        return f"{self._schema_key}: the thread that publishes this stream has died" if gone else ""
 
     def put(self, batch: Batch) -> None:
         """Publish a batch; never blocks."""
@@ -71,6 +84,7 @@ class StreamPublisher:
         if self._closing.is_set():
             return
         self._closing.set()
+        self._bus.dismiss(self)
         self._queue.put(None)
         self._thread.join()
         self._schema.close()
@@ -104,7 +118,7 @@ class StreamPublisher:
     def _tell_schema(self) -> None:
         """Say what the stream is before its first sample: who comes later asks, and may come too late."""
         self._session.put(
-            self._schema_key, json.dumps(self._reply), congestion_control=zenoh.CongestionControl.BLOCK
+            self._schema_key, dump(self._reply), congestion_control=zenoh.CongestionControl.BLOCK
         )
 
     def _wait_for_a_listener(self) -> None:
@@ -127,6 +141,19 @@ def schema_reply(codec: Codec, metadata: Mapping[str, str]) -> dict[str, Any]:
     }
 
 
+def publish_command(bus: Bus, key: str, payload: bytes) -> None:
+    """Publish a command, signed with the key of the session; BusError when the session is closed."""
+    try:
+        bus.session.put(
+            key,
+            payload,
+            attachment=bus.sign(key, payload),
+            congestion_control=zenoh.CongestionControl.BLOCK,
+        )
+    except zenoh.ZError as error:
+        raise BusError(f"{key}: the command could not be published: {error}") from error
+
+
 def publish_event(bus: Bus, device: str, event: str | Mapping[str, Any]) -> None:
     """Publish something that happened; a plain text becomes ``{"text": …}``.
 
@@ -134,9 +161,10 @@ def publish_event(bus: Bus, device: str, event: str | Mapping[str, Any]) -> None
     session is closed.
     """
     body: dict[str, Any] = {"text": event} if isinstance(event, str) else dict(event)
-    body.setdefault("t_ns", time.time_ns())
+    body = {name: value[:LONGEST_TEXT] if isinstance(value, str) else value for name, value in body.items()}
+    body.setdefault("t_ns", unix_ns())
     key = event_key(device)
     try:
-        bus.session.put(key, json.dumps(body), congestion_control=zenoh.CongestionControl.BLOCK)
+        bus.session.put(key, dump(body), congestion_control=zenoh.CongestionControl.BLOCK)
     except zenoh.ZError as error:
         raise BusError(f"{key}: the event could not be published: {error}") from error

@@ -1,7 +1,9 @@
 """Which buses run on this machine: a small file for each process that others may want to reach.
 
 A process that listens writes ``PID-NUMBER.json`` into a directory that only its user can read and takes it
-away at the end; what a killed process left behind is swept by whoever looks next. Loopback only.
+away at the end; what a killed process left behind is swept by whoever looks next. Beside it stands
+``PID-NUMBER.key`` with the key of the session, which commands are authenticated with: whoever may read that
+file may command. Loopback only.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from labhil.bus.authentication import KEY_BYTES
 from labhil.documents import parse_json
 from labhil.errors import BusError, UsageError
 
@@ -87,14 +90,40 @@ def registered(kind: str, name: str, endpoint: str, devices: Sequence[str]) -> I
         path.unlink(missing_ok=True)
 
 
+def keep_key(endpoint: str, key: bytes) -> Path:
+    """Leave the key of the session that is reached at ``endpoint`` for this user's processes; its file."""
+    pid = os.getpid()
+    path = runtime_directory() / f"{pid}-{next(_numbers)}.key"
+    text = json.dumps({"endpoint": endpoint, "key": key.hex(), "pid": pid, "birth": birth_of(pid)})
+    write_whole(path, text)
+    return path
+
+
+def key_of(endpoint: str) -> bytes | None:
+    """Return the key of the session that is reached at ``endpoint``; None where this user has none."""
+    for path in runtime_directory().glob("*-*.key"):
+        with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
+            data = parse_json(path.read_text(encoding="utf-8"))
+            if birth_of(int(data["pid"])) != data["birth"]:
+                path.unlink(missing_ok=True)
+            elif data["endpoint"] == endpoint and len(key := bytes.fromhex(data["key"])) == KEY_BYTES:
+                return key
+    return None
+
+
 def write_whole(path: Path, text: str) -> None:
-    """Write a file so that nobody ever reads half of it; BusError where that fails."""
+    """Write a file of this user's alone so that nobody ever reads half of it; BusError where that fails."""
     draft = path.with_suffix(f".{os.getpid()}.draft")
     try:
-        draft.write_text(text, encoding="utf-8")
+        with open(draft, "w", encoding="utf-8", opener=_for_us_alone) as file:
+            file.write(text)
         draft.replace(path)
     except OSError as error:
         raise BusError(f"{path}: expected to write a small file there, found {error}") from error
+
+
+def _for_us_alone(path: str, flags: int) -> int:
+    return os.open(path, flags, 0o600)
 
 
 def running(kind: str | None = None) -> tuple[Registered, ...]:
@@ -109,14 +138,22 @@ def running(kind: str | None = None) -> tuple[Registered, ...]:
     return tuple(sorted(found, key=lambda entry: entry.since))
 
 
-def find_run(connect: str | None = None) -> str:
+def find_run(connect: str | None = None, *, or_lab: bool = False) -> str:
     """Return the endpoint of the one run that is up, or ``connect`` if that is given and on loopback.
 
-    UsageError when there is none, or several to choose from.
+    With ``or_lab`` that of the one lab that is served, where there is no run. UsageError when there is none,
+    or several to choose from.
     """
     if connect is not None:
         return check_loopback(connect)
-    runs = running("run")
+    runs, labs = running("run"), running("lab")
+    if labs and not runs and not or_lab:
+        names = ", ".join(lab.name for lab in labs)
+        raise UsageError(
+            f"expected a run that is up, found only a served lab ({names}): `labhil control status` and "
+            "`labhil estop` are for it, and Ctrl+C where it was started ends it"
+        )
+    runs = runs or labs
     if len(runs) == 1:
         return runs[0].endpoint
     if not runs:

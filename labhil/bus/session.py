@@ -8,12 +8,15 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Protocol, Self
 
 import zenoh
 
+from labhil.bus.authentication import Signer, Verifier, new_key
 from labhil.bus.keys import ARRIVED
+from labhil.bus.register import keep_key, key_of
 from labhil.errors import BusError
 
 CONNECT_TIMEOUT_MS = 5000
@@ -24,13 +27,57 @@ ACQUAINTANCE = 1.0
 """Seconds after which the peers that gossip tells of are known."""
 
 
+class Part(Protocol):
+    """Something with a thread of its own that works on a bus."""
+
+    def failure(self) -> str:
+        """Return why it does its work no more, though nobody closed it; empty while all is well."""
+
+
 @dataclass(frozen=True, slots=True)
 class Bus:
-    """An open session, and the endpoint where other processes reach it (``tcp/127.0.0.1:PORT``)."""
+    """An open session, and the endpoint where other processes reach it (``tcp/127.0.0.1:PORT``).
+
+    ``keys`` are those of the sessions that it joined, or its own; what it asks and commands is signed with
+    them.
+    """
 
     session: zenoh.Session
     endpoint: str
     opened: float = field(default_factory=time.monotonic)
+    keys: tuple[bytes, ...] = field(default=(), repr=False)
+    _key_file: Path | None = None
+    _signer: list[Signer] = field(default_factory=list, repr=False)
+    _parts: list[Part] = field(default_factory=list, repr=False)
+
+    def sign(self, key_expression: str, payload: bytes) -> bytes:
+        """Return what is attached to a command to show that it comes from a holder of the session's key."""
+        if not self._signer:
+            self._signer.append(Signer(self.keys))
+        return self._signer[0].sign(key_expression, payload)
+
+    def verifier(self) -> Verifier:
+        """Return what tells the commands of holders of the session's key from those of others."""
+        return Verifier(self.keys)
+
+    def attend(self, part: Part) -> None:
+        """Let :meth:`failure` look after something that works on this bus."""
+        self._parts.append(part)
+
+    def dismiss(self, part: Part) -> None:
+        """Look after it no more; safe to call twice."""
+        with suppress(ValueError):
+            self._parts.remove(part)
+
+    def failure(self) -> str:
+        """Return what works no more on this bus, and why; empty while all is well.
+
+        Whoever commands a device asks this several times a second: a thread that died hears nothing more, not
+        even the emergency stop.
+        """
+        if self.session.is_closed():
+            return "the session on the bus is closed"
+        return next((why for part in self._parts.copy() if (why := part.failure())), "")
 
     @property
     def settling(self) -> bool:
@@ -41,6 +88,8 @@ class Bus:
         """Leave the bus once all that was published has arrived; safe to call twice."""
         if self.session.is_closed():
             return
+        if self._key_file is not None:
+            self._key_file.unlink(missing_ok=True)
         self._wait_for_arrival()
         self.session.close()
 
@@ -69,7 +118,9 @@ def open_bus(connect: str | Sequence[str] | None = None) -> Bus:
     for attempt in range(1, ATTEMPTS + 1):
         endpoint = f"tcp/127.0.0.1:{_free_port()}"
         try:
-            return Bus(zenoh.open(_config(endpoint, connect)), endpoint)
+            session = zenoh.open(_config(endpoint, connect))
+            keys, file = _keys(endpoint, connect)
+            return Bus(session, endpoint, keys=keys, _key_file=file)
         except zenoh.ZError as error:
             # between drawing a port and listening there somebody else may have taken it
             if "Address already in use" in str(error) and attempt < ATTEMPTS:
@@ -79,6 +130,17 @@ def open_bus(connect: str | Sequence[str] | None = None) -> Bus:
             )
             raise BusError(f"the bus could not be opened: {where}; found: {error}") from error
     raise BusError(f"no free port found on 127.0.0.1 in {ATTEMPTS} attempts")
+
+
+def _keys(endpoint: str, connect: str | Sequence[str] | None) -> tuple[tuple[bytes, ...], Path | None]:
+    """The keys of the sessions that are joined, else a new one, and the file that hands them on."""
+    places = [connect] if isinstance(connect, str) else list(connect or ())
+    with suppress(BusError, OSError):  # without the directory nobody finds us, and we nobody's key
+        found = dict.fromkeys(key for place in places if (key := key_of(place)) is not None)
+        keys = tuple(found) or (new_key(),)
+        # one that joined several sessions is only a visitor: nobody reaches them by it
+        return keys, keep_key(endpoint, keys[0]) if len(keys) == 1 else None
+    return (new_key(),), None
 
 
 def _config(endpoint: str, connect: str | Sequence[str] | None) -> zenoh.Config:

@@ -9,6 +9,7 @@ from typing import Self
 
 import zenoh
 
+from labhil.bus.authentication import Refusals
 from labhil.bus.keys import ARRIVED
 from labhil.bus.session import Bus
 
@@ -22,11 +23,15 @@ class Subscription:
     """A subscription with its thread; ``close`` delivers what has already come in, and ends both.
 
     ``error`` holds what the callback raised, if it did; the subscription has then stopped delivering
-    (it goes on draining, so that publishers are not held up).
+    (it goes on draining, so that publishers are not held up). With ``refusals`` only what is signed with the
+    session's key is delivered, and the rest is counted there.
     """
 
-    def __init__(self, bus: Bus, key: str, on_samples: OnSamples) -> None:
+    def __init__(self, bus: Bus, key: str, on_samples: OnSamples, refusals: Refusals | None = None) -> None:
         self.error: Exception | None = None
+        self._bus, self._key, self._closed = bus, key, False
+        self._refusals = refusals
+        self._verifier = bus.verifier()
         self._on_samples = on_samples
         self._subscriber = bus.session.declare_subscriber(key, zenoh.handlers.FifoChannel(CHANNEL_DEPTH))
         # answered where samples are received, so never before one that was sent earlier
@@ -38,9 +43,19 @@ class Subscription:
         self._handler = self._subscriber.handler
         self._thread = threading.Thread(target=self._run, name=f"subscribe {key}")
         self._thread.start()
+        bus.attend(self)
+
+    def failure(self) -> str:
+        """Return why nothing is delivered any more, though nobody closed it; empty while all is well."""
+        if self.error is not None:
+            return f"{self._key}: what came in could not be dealt with: {self.error!r}"
+        gone = not self._closed and not self._thread.is_alive()
+        return f"{self._key}: the thread that listens there has died" if gone else ""
 
     def close(self) -> None:
         """End the subscription; safe to call twice, but not from the callback."""
+        self._closed = True
+        self._bus.dismiss(self)
         if self._thread.is_alive():
             self._arrived.undeclare()
             self._subscriber.undeclare()
@@ -63,12 +78,23 @@ class Subscription:
             arrived: dict[str, list[bytes]] = {}
             while sample is not None:
                 # a waiting sample pins kilobytes until its bytes are copied out
-                arrived.setdefault(str(sample.key_expr), []).append(sample.payload.to_bytes())
+                key, payload = str(sample.key_expr), sample.payload.to_bytes()
+                if self._admits(key, payload, sample):
+                    arrived.setdefault(key, []).append(payload)
                 try:
                     sample = self._handler.try_recv()
                 except zenoh.ZError:
                     break
             self._deliver(arrived)
+
+    def _admits(self, key: str, payload: bytes, sample: zenoh.Sample) -> bool:
+        if self._refusals is None:
+            return True
+        attached = sample.attachment
+        objection = self._verifier.objection(key, payload, None if attached is None else attached.to_bytes())
+        if objection:
+            self._refusals.note(key, objection)
+        return not objection
 
     def _deliver(self, arrived: dict[str, list[bytes]]) -> None:
         for key, payloads in arrived.items():
@@ -80,6 +106,9 @@ class Subscription:
                 self.error = error
 
 
-def subscribe(bus: Bus, key: str, on_samples: OnSamples) -> Subscription:
-    """Call ``on_samples`` in a thread of its own with everything published under ``key``."""
-    return Subscription(bus, key, on_samples)
+def subscribe(bus: Bus, key: str, on_samples: OnSamples, refusals: Refusals | None = None) -> Subscription:
+    """Call ``on_samples`` in a thread of its own with everything published under ``key``.
+
+    With ``refusals`` only with what is signed with the session's key.
+    """
+    return Subscription(bus, key, on_samples, refusals)

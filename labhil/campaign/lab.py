@@ -10,6 +10,7 @@ from pathlib import Path
 from labhil.bus.register import check_loopback
 from labhil.bus.session import open_bus
 from labhil.campaign.worker import Worker
+from labhil.errors import LabhilError
 from labhil.experiment.interruption import Interruption
 from labhil.experiment.lab import Lab, load_lab
 from labhil.experiment.lab_service import LabService, folder_of
@@ -33,14 +34,11 @@ def serve_lab(
         print(bus.endpoint, flush=True)
         worker = Worker(place, lab.lab.analyse, bus, say)
         done = threading.Event()
-        at_work = threading.Thread(target=_work, args=(worker, done), name="worker")
+        at_work = threading.Thread(target=_work, args=(worker, done, say), name="worker")
         at_work.start()
         service = LabService(lab, bus, place, say)
         try:
-            if lab.devices:
-                service.run(interrupted)
-            else:
-                _wait(interrupted)
+            service.run(interrupted)
         finally:
             done.set()
             at_work.join()
@@ -53,12 +51,10 @@ def _example() -> Lab:
         return load_lab(path)
 
 
-def _work(worker: Worker, done: threading.Event) -> None:
+def _work(worker: Worker, done: threading.Event, say: Callable[[str], None]) -> None:
     while not done.wait(LOOK):
-        worker.look()
-
-
-def _wait(interrupted: Callable[[], bool]) -> None:
-    pause = threading.Event()
-    while not interrupted():
-        pause.wait(LOOK)
+        try:
+            worker.look()
+        except (LabhilError, OSError, ValueError, LookupError) as error:
+            # devices are served and recorded whatever becomes of an analysis
+            say(f"the worker: {error}")

@@ -18,6 +18,7 @@ from labhil.bus.keys import WORKER_PROGRESS, WORKER_RESULT
 from labhil.bus.session import Bus
 from labhil.campaign.studies.jobs import Job, Jobs
 from labhil.campaign.studies.study import Task
+from labhil.host_clock import unix_ns
 
 SETTLED = 1.0
 """How long a file has to be left alone before it is looked at, s."""
@@ -68,8 +69,9 @@ class Worker:
             self._tell(WORKER_PROGRESS, job, {"said": job.said})
             return
         self._tell(WORKER_RESULT, job, {"result": job.done, "said": job.said})
-        self._say(f"{job.title}: {job.done if job.state == 'done' else job.said}")
+        came = [job.done] if job.state == "done" and job.said == "done" else [job.done, job.said]
+        self._say(f"{job.title}: {', '.join(str(part) for part in came if part is not None)}")
 
     def _tell(self, key: str, job: Job, more: dict[str, Any]) -> None:
-        data = {"t_ns": time.time_ns(), "study": job.task.to_json(), "state": job.state, **more}
+        data = {"t_ns": unix_ns(), "study": job.task.to_json(), "state": job.state, **more}
         self._bus.session.put(key, json.dumps(data, ensure_ascii=False).encode())

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from labhil.commands.json_flag import JsonFlagCommand
 from labhil.console import split_names, tell, write_json
 from labhil.errors import UsageError
 from labhil.terminal import complain, show
@@ -22,7 +23,9 @@ def add_acquisition(app: typer.Typer) -> None:
         epilog="Example: labhil twin ball_beam --seed 3 --terms viscous_friction,coulomb_friction --speed 5"
     )(twin)
     app.command(epilog="Example: labhil devices ball_beam")(devices)
-    app.command(epilog="Example: labhil run ball_beam_identify.toml --out recordings")(run)
+    app.command(cls=JsonFlagCommand, epilog="Example: labhil run ball_beam_identify.toml --out recordings")(
+        run
+    )
 
 
 def twin(
@@ -173,6 +176,7 @@ def run(
         result = run_experiment(plan.experiment, out, bar)
     if result.error is not None:
         complain(result.error)
+    tell(result.warnings)
     if as_json:
         write_json(result.to_json())
     elif result.path is not None:

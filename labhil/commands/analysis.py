@@ -7,7 +7,20 @@ from typing import Annotated
 
 import typer
 
-from labhil.console import refuse_unwritable, results_console, split_names, status, tell, write_json
+from labhil.commands.files import RunOption
+from labhil.commands.json_flag import JsonFlagCommand
+from labhil.console import (
+    deliver,
+    early_line,
+    ending_early,
+    refuse_unwritable,
+    results_console,
+    split_names,
+    status,
+    tell,
+    write_json,
+)
+from labhil.errors import UsageError
 from labhil.terminal import show
 
 RecordingsArgument = Annotated[
@@ -24,6 +37,10 @@ PerRecordingOption = Annotated[
 DeviceOption = Annotated[
     str | None, typer.Option(metavar="NAME", help="Which device, where a recording holds several.")
 ]
+SpanOption = Annotated[
+    tuple[float, float] | None,
+    typer.Option(metavar="FROM TO", help="Use only this stretch of every recording, s."),
+]
 TestOption = Annotated[
     list[Path] | None, typer.Option(help="A separate recording to judge on; may be repeated.")
 ]
@@ -31,7 +48,7 @@ TestOption = Annotated[
 
 def add_analysis(app: typer.Typer) -> None:
     """Register these commands."""
-    app.command(epilog="Example: labhil terms ball_beam")(terms)
+    app.command(cls=JsonFlagCommand, epilog="Example: labhil terms ball_beam")(terms)
     app.command(
         epilog="Example: labhil fit run.mcap --terms viscous_friction,coulomb_friction --json fit.json"
     )(fit)
@@ -77,11 +94,9 @@ def fit(
     holdout: Annotated[
         float, typer.Option(help="Share held out at the end, 0 for nothing; not used with --test.")
     ] = 0.3,
-    span: Annotated[
-        tuple[float, float] | None,
-        typer.Option(metavar="FROM TO", help="Use only this stretch of every recording, s."),
-    ] = None,
+    span: SpanOption = None,
     device: DeviceOption = None,
+    run: RunOption = None,
     window: Annotated[
         float | None, typer.Option(help="Length of the fitted windows, s (default: several, compared).")
     ] = None,
@@ -107,6 +122,7 @@ def fit(
     from labhil.identify.estimators import estimator_named
     from labhil.identify.fit import Options, criterion_named
     from labhil.identify.intervals import interval_method
+    from labhil.report.faults import fault_lines
     from labhil.report.kept_curve import curve_note
     from labhil.report.material import load_material
     from labhil.report.study import fit_study
@@ -115,14 +131,17 @@ def fit(
     refuse_unwritable(json_path, plot, html)
     method, small = interval_method(intervals), criterion_named(criterion)
     apart = split_names(per_recording) or ()
-    material = load_material(recordings, rig, test, holdout, apart, span=span, all_of_it=True, device=device)
+    material = load_material(
+        recordings, rig, test, holdout, apart, span=span, all_of_it=True, device=device, run=run
+    )
     tell(material.losses())
-    with status() as say:
+    with status() as say, ending_early() as deadline:
         options = Options(window, method, simultaneous, estimator_named(estimator), seed, say, small)
         result = fit_study(material, terms=split_names(names), start=model, options=options)
-    show_fit(result.fit, results_console(), [*material.numbered(), *material.notes(), *curve_note(model)])
-    if json_path is not None:
-        write_json(result.json, json_path)
+    notes = [*fault_lines(material.faults()), *result.doubts, *material.numbered()]
+    notes += [*material.notes(), *curve_note(model)]
+    with early_line(result.fit.complete, deadline, json_path):
+        deliver(result.json, json_path, lambda: show_fit(result.fit, results_console(), notes))
     if plot is not None:
         from labhil.report.fit_plot import fit_plot
 
@@ -142,7 +161,13 @@ def diagnose(
     per_recording: PerRecordingOption = None,
     test: TestOption = None,
     device: DeviceOption = None,
+    run: RunOption = None,
     holdout: Annotated[float, typer.Option(help="Share held out at the end; not used with --test.")] = 0.3,
+    span: SpanOption = None,
+    seconds: Annotated[
+        float | None,
+        typer.Option(metavar="N", help="End after so many s, with the best so far (so does Ctrl+C)."),
+    ] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw it here (PNG).")] = None,
     html: Annotated[Path | None, typer.Option(help="Write a page about it here (HTML).")] = None,
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
@@ -160,15 +185,16 @@ def diagnose(
     from labhil.report.text import show_diagnosis
 
     refuse_unwritable(json_path, plot, html)
-    material = load_material(recordings, rig, test, holdout, split_names(per_recording) or (), device=device)
+    if seconds is not None and not seconds > 0:
+        raise UsageError(f"--seconds: expected more than 0, found {seconds:g}")
+    apart = split_names(per_recording) or ()
+    material = load_material(recordings, rig, test, holdout, apart, span=span, device=device, run=run)
     tell(material.losses())
-    with status() as say:
+    with status() as say, ending_early(seconds) as deadline:
         result = diagnose_study(material, baseline=split_names(baseline), reference=model, progress=say)
-    show_diagnosis(
-        result.diagnosis, results_console(), [*material.numbered(), *material.notes(), *curve_note(model)]
-    )
-    if json_path is not None:
-        write_json(result.json, json_path)
+    notes = [*result.doubts, *material.numbered(), *material.notes(), *curve_note(model)]
+    with early_line(result.diagnosis.complete, deadline, json_path):
+        deliver(result.json, json_path, lambda: show_diagnosis(result.diagnosis, results_console(), notes))
     if plot is not None:
         from labhil.report.plots import diagnosis_plot
 
@@ -187,6 +213,7 @@ def verify(
     model: Annotated[Path, typer.Option(help="The accepted model: a fit or a diagnosis (JSON).")],
     rig: Annotated[Path | None, typer.Option(help="Rig file; default: the recording's own.")] = None,
     device: DeviceOption = None,
+    run: RunOption = None,
     alpha: Annotated[
         float, typer.Option(help="Probability that a recording of the model itself is refused.")
     ] = 1e-3,
@@ -201,11 +228,9 @@ def verify(
 
     refuse_unwritable(json_path)
     with status() as say:
-        result = verify_study(recording, model, rig, alpha=alpha, device=device, progress=say)
+        result = verify_study(recording, model, rig, alpha=alpha, device=device, run=run, progress=say)
     tell(result.losses)
-    show_verification(result.verification, results_console())
-    if json_path is not None:
-        write_json(result.json, json_path)
+    deliver(result.json, json_path, lambda: show_verification(result.verification, results_console()))
     if not result.verification.consistent:
         raise typer.Exit(1)
 
@@ -216,13 +241,14 @@ def report(
         typer.Argument(metavar="OUT.json|REC.mcap", help="The JSON of a fit or diagnosis, or a recording."),
     ],
     out: Annotated[Path, typer.Option("-o", "--out", help="The page to write (.html).")],
+    run: RunOption = None,
 ) -> None:
     """Make one HTML page of a result or of a recording: complete in itself, to be read, printed or sent."""
     from labhil.report.html.page import write_page
     from labhil.report.html.report import report_page
 
     refuse_unwritable(out)
-    write_page(report_page(result), out)
+    write_page(report_page(result, run), out)
     show(out)
 
 
@@ -233,6 +259,7 @@ def linear(
     models: Annotated[str | None, typer.Option(help="Which: a,b,… (default: all).")] = None,
     test: Annotated[Path | None, typer.Option(help="A separate recording to judge on.")] = None,
     holdout: Annotated[float, typer.Option(help="Share held out at the end; not used with --test.")] = 0.3,
+    run: RunOption = None,
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
 ) -> None:
     """Fit linear and black-box baselines, to see what physics is worth: ARX, OE, state space, NARX, …"""
@@ -240,12 +267,10 @@ def linear(
     from labhil.report.material import load_material
 
     refuse_unwritable(json_path)
-    material = load_material(recording, rig, test, holdout)
+    material = load_material(recording, rig, test, holdout, run=run)
     tell(material.losses())
     material.refuse_holes()
     with status() as say:
         rows = linear_study(material.learn, material.judge, split_names(models), progress=say)
-    for line in study_text(rows):
-        show(line)
-    if json_path is not None:
-        write_json({"schema": "labhil.linear/1", "models": study_json(rows)}, json_path)
+    data = {"schema": "labhil.linear/1", "models": study_json(rows)}
+    deliver(data, json_path, lambda: show(*study_text(rows)))

@@ -7,8 +7,13 @@ from typing import Annotated
 
 import typer
 
-from labhil.console import refuse_unwritable, tell, write_json
+from labhil.console import deliver, refuse_unwritable, status, tell
 from labhil.terminal import show
+
+RunOption = Annotated[
+    int | None,
+    typer.Option("--run", metavar="N", help="Which run, from 1, where a file holds several of one stream."),
+]
 
 
 def add_files(app: typer.Typer) -> None:
@@ -28,12 +33,38 @@ def import_(
     out: Annotated[Path, typer.Option("-o", "--out", help="The recording to write (.mcap).")],
 ) -> None:
     """Make a recording of a table that others wrote."""
+    from labhil.recording.reader import read_recording
     from labhil.recording.tables import describe_import, import_table, write_import
+    from labhil.report.import_check import checked
     from labhil.rig import load_rig
 
     table = import_table(data, load_rig(rig))
     tell(describe_import(table))
-    show(write_import(table, out))
+    with status() as say:
+        table, seen = checked(table, say)
+    tell(seen)
+    path = write_import(table, out)
+    faults = (fault for data in read_recording(path).streams for fault in data.clock_faults)
+    tell(f"{data}: {fault.statement}" for fault in faults)
+    tell(_doubts(path))
+    show(path)
+
+
+def _doubts(path: Path) -> list[str]:
+    """What the physics of the rig calls implausible; nothing of a recording that lacks what a model needs."""
+    from labhil.errors import LabhilError
+    from labhil.identify.plausibility import doubts_of
+    from labhil.physics.rigs import record_of
+    from labhil.recording.reader import read_recording
+
+    recording = read_recording(path)
+    if recording.rig is None:
+        return []
+    try:
+        record = record_of(recording, recording.rig.kind)
+        return [doubt.statement for doubt in doubts_of(record, recording.rig)]
+    except LabhilError:
+        return []
 
 
 def export(
@@ -50,6 +81,7 @@ def export(
     stream: Annotated[
         str | None, typer.Option(metavar="/DEVICE/STREAM", help="Which stream (default: state).")
     ] = None,
+    run: RunOption = None,
 ) -> None:
     """Write the samples of a recording as a table: a column t (s), then the signals in SI units.
 
@@ -58,7 +90,7 @@ def export(
     from labhil.recording.export import export as write_table
     from labhil.recording.reader import read_recording
 
-    found = read_recording(recording).of_device(device)
+    found = read_recording(recording, run).of_device(device)
     tell(found.losses())
     show(write_table(found, out, stream))
 
@@ -87,6 +119,4 @@ def recover(
     refuse_unwritable(json_path, out)
     result = save(broken, out, keep_doubtful=keep_doubtful)
     tell(result.lines())
-    if json_path is not None:
-        write_json(result.to_json(), json_path)
-    show(result.path)
+    deliver(result.to_json(), json_path, lambda: show(result.path))

@@ -7,13 +7,14 @@ from typing import Annotated
 
 import typer
 
+from labhil.commands.json_flag import JsonFlagCommand
 from labhil.console import write_json
 from labhil.terminal import show
 
 
 def add_machine(app: typer.Typer) -> None:
     """Register these commands."""
-    app.command(epilog="Example: labhil doctor --json")(doctor)
+    app.command(cls=JsonFlagCommand, epilog="Example: labhil doctor --json")(doctor)
 
 
 def doctor(

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from labhil.commands.json_flag import JsonFlagCommand
 from labhil.console import tell, write_json
 from labhil.terminal import complain, show
 
@@ -19,7 +20,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON."
 
 def add_safety(app: typer.Typer) -> None:
     """Register these commands."""
-    app.command(epilog="Example: labhil estop --reason 'the ball jumped'")(estop)
+    app.command(cls=JsonFlagCommand, epilog="Example: labhil estop --reason 'the ball jumped'")(estop)
     app.command(epilog="Example: labhil control pause --reason 'to look at the ball'")(control)
 
 
@@ -75,7 +76,7 @@ def control(
 ) -> None:
     """Ask or tell a run that is up: its state, pause, resume, stop (exit status 0), abort (exit status 1).
 
-    Prints what the run does now, as JSON.
+    Prints what the run does now, as JSON; with status also what a served lab does.
     """
     from labhil.bus.ask import ask
     from labhil.bus.keys import RUN, command_key
@@ -87,5 +88,5 @@ def control(
     if action not in actions:
         raise UnknownNameError("action", action, actions)
     payload = {} if reason is None else {"reason": reason}
-    with open_bus(find_run(connect)) as bus:
+    with open_bus(find_run(connect, or_lab=action == "status")) as bus:
         write_json(ask(bus, command_key(RUN, action), payload, timeout=5.0, patience=3.0))

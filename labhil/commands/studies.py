@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from labhil.console import refuse_unwritable, results_console, status, write_json
+from labhil.console import STDOUT, deliver, refuse_unwritable, results_console, status, write_json
+from labhil.terminal import terminal
 
 
 def add_studies(app: typer.Typer) -> None:
@@ -53,9 +54,7 @@ def optimise(
     refuse_unwritable(json_path, plot)
     with status() as say:
         study = run(seed, say, field=field)
-    show(study, results_console())
-    if json_path is not None:
-        write_json(study.to_json(), json_path)
+    deliver(study.to_json(), json_path, lambda: show(study, results_console()))
     if plot is not None:
         from labhil.optimise.plot import plot as draw
 
@@ -79,16 +78,20 @@ def reference(
     from labhil.campaign.reference.published import NUMBERS
 
     refuse_unwritable(json_path, markdown)
+    to_stdout = json_path == STDOUT
     with status() as say:
-        reference_command(
+        found = reference_command(
             tables or NUMBERS,
             quick=quick,
             seed=seed,
             cache=cache,
             markdown=markdown,
-            json_path=json_path,
+            json_path=None if to_stdout else json_path,
             progress=say,
+            console=terminal(stderr=True) if to_stdout else None,
         )
+    if to_stdout:
+        write_json(found.to_json())
 
 
 def benchmark(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from labhil.console import refuse_unwritable, results_console, status, write_json
+from labhil.console import deliver, refuse_unwritable, results_console, status
 from labhil.cores import cores
 from labhil.terminal import show
 
@@ -174,9 +174,7 @@ def _tell(card: Card, json_path: Path | None, plot_path: Path | None) -> None:
     """Print a score card, and write and draw it where that was asked for."""
     from labhil.campaign.trials.show import show
 
-    show(card, results_console())
-    if json_path is not None:
-        write_json(card.to_json(), json_path)
+    deliver(card.to_json(), json_path, lambda: show(card, results_console()))
     if plot_path is not None:
         from labhil.campaign.trials.plot import plot
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from labhil.diagnose.collapsed import Collapsed
 from labhil.diagnose.evidence import Evidence
 from labhil.diagnose.intake import Fault
 from labhil.diagnose.locate import Location
@@ -108,8 +109,10 @@ class Diagnosis:
 
     ``faults`` are those of the data, whether or not they make them unfit. ``wider`` says that scores are on
     parts of what was held out, and that the parts between were searched; ``shorter`` are scores before and
-    after on windows as short as the search's, where the answer only shows on those. ``curve`` is the
-    strongest one, ``further_curves`` are those of an arm's other joints.
+    after on windows as short as the search's, where the answer only shows on those. ``collapsed`` are sizes
+    of the rig that the baseline alone takes far from what is known of them. ``curve`` is the
+    strongest one, ``further_curves`` are those of an arm's other joints. ``complete`` is False where it was
+    ended early, with the best so far.
     """
 
     verdict: str
@@ -137,7 +140,9 @@ class Diagnosis:
     seconds: float
     further_curves: tuple[Curve, ...] = ()
     shorter: tuple[Score, Score] | None = None
+    collapsed: tuple[Collapsed, ...] = ()
     wider: bool = False
+    complete: bool = True
 
     @property
     def named(self) -> list[str]:

@@ -81,6 +81,8 @@ def concluded(data: Data, found: Found, left: FloatArray, progress: Callable[[st
     if found.missing and _unnoticed(found, before, after):
         found, after, left = found.nothing, before, left_by(data, found.baseline)
     more = _leaves_more(data, found, left, after.excess)
+    if not found.complete:
+        return Concluded(data, found, (), more, before, after, noise.sigma)
     if more:
         progress("a force over each coordinate in turn, for no named effect explains the rest")
     look = beyond if more or model.metric is Metric.INVERSE_DYNAMICS else imitated

@@ -10,9 +10,6 @@ from labhil.identify.score import Score
 from labhil.physics.model import Metric, Record
 from labhil.signals import FloatArray
 
-FLOOR_KNOWN_TO = 1.15
-"""Factor to which the noise floor is known: a controller that answers noise makes it look too small."""
-
 LAGS = 20
 MOST_ORDER = 10
 """Of the autoregression that whitens residuals."""

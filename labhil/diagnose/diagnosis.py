@@ -14,24 +14,27 @@ from labhil.diagnose import telling
 from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.answer import Change, Diagnosis, Undecided
 from labhil.diagnose.beyond import strongest
+from labhil.diagnose.collapsed import given_way, kept_near, needed
 from labhil.diagnose.conclude import Concluded, concluded
 from labhil.diagnose.evidence import bic, effective_samples
 from labhil.diagnose.found import Found
-from labhil.diagnose.intake import Fault, faults_of, usable
-from labhil.diagnose.judge import NEEDED_BIC, Data
+from labhil.diagnose.intake import Fault, usable
+from labhil.diagnose.judge import NEEDED_BIC, TOGETHER, Data
 from labhil.diagnose.load import with_load
 from labhil.diagnose.rest import left_by, unexplained
 from labhil.diagnose.search import onward, search
+from labhil.diagnose.timing import all_faults
 from labhil.diagnose.unmodelled import Unmodelled
 from labhil.diagnose.wider import adds_beyond_doubt, goes_elsewhere, searched_and_kept
-from labhil.identify.fitted import Fitted, climb, start_theta
+from labhil.ending import EndedEarly, accept
+from labhil.identify.fitted import Fitted, climb, fit_briefly, start_theta
 from labhil.identify.noise import lasting_noise
 from labhil.identify.score import Score, score, with_forces
 from labhil.identify.statistics import Estimate, stated, with_error
 from labhil.identify.table import table_of
 from labhil.identify.windows import noise_of, told_apart
 from labhil.physics.model import Model, Record, index_of, terms_named
-from labhil.physics.terms import unkeyed
+from labhil.physics.terms import Parameter, keyed, unkeyed
 from labhil.signals import FloatArray
 
 SEARCH_WINDOW_IN_HORIZONS = 0.375
@@ -68,31 +71,36 @@ def diagnose(
     searched, held_out, sigma = data.search, data.test, data.sigma
     progress(f"fitting the baseline: {', '.join(baseline)}")
     terms = [term.key for term in terms_named(model, baseline)]
-    base = fit_baseline(data, terms)
-    data, base = _with_lasting_noise(data, base)
+    data, base, ended_early = _baseline(data, terms)
     whole = searched if measured is None else measured
-    faults = faults_of(whole)
+    faults = all_faults(model, whole)
     if not usable(whole, faults).fit:
         reason = "the data are at fault"
         return _unsearched(data, base, "data_fault", reason, faults, heldout_is_test, began)
     if not _excited(searched, sigma):
         reason = "neither input nor output moves beyond the noise"
         return _unsearched(data, base, "not_decidable", reason, faults, heldout_is_test, began)
+    if ended_early:
+        reason = "ended early, before anything was searched"
+        stated = _unsearched(data, base, "not_decidable", reason, faults, heldout_is_test, began)
+        return replace(stated, complete=False)
     look = partial(_found, terms=terms, reference=reference, accepted=accepted, progress=progress)
-    end = concluded(*_looked_wider(data, look(data, base), look, progress), progress)
+    end = _concluded(data, look(data, base), look, progress)
     found, curves, told, claimed = end.found, end.curves, strongest(end.curves), end.doubts
-    final = _rows(found, curves)
-    changed = _changes(final, reference)
+    final = _rows(found, curves, accepted)
+    changed = _changes(final, reference, accepted)
+    verdict = _verdict(end, changed)
     wider = end.data.test is not data.test
     return Diagnosis(
-        verdict=_verdict(end, changed),
+        verdict=verdict,
         faults=faults,
-        p_value=_suffices(found, curves),
+        p_value=_suffices(end, verdict),
         p_value_method="tail_extrapolated",
         p_value_floor=0.0,
         baseline_terms=found.baseline.terms,
         baseline=table_of(found.baseline).rows,
         changed=changed,
+        collapsed=found.collapsed,
         location=telling.location(found, end.before, end.after, end.data.test, told, wider=wider),
         missing=(
             *(telling.missing(model, step, found, final, *claimed) for step in found.missing),
@@ -114,7 +122,39 @@ def diagnose(
         seconds=time.perf_counter() - began,
         shorter=end.on_shorter_windows,
         wider=wider,
+        complete=found.complete,
     )
+
+
+def _baseline(data: Data, terms: Sequence[str]) -> tuple[Data, Fitted, bool]:
+    """The data and the baseline in units of its noise, and whether that was ended early."""
+    base: Fitted | None = None
+    try:
+        base = fit_baseline(data, terms)
+        return *_with_lasting_noise(data, base), False
+    except EndedEarly:
+        accept()
+    if base is None:
+        window, begin = data.window, data.begin
+        base = fit_briefly(data.model, data.search, terms, window, data.sigma, begin, fresh=True)
+    return data, base, True
+
+
+def _concluded(
+    data: Data, found: Found, look: Callable[[Data, Fitted], Found], progress: Callable[[str], None]
+) -> Concluded:
+    """The end of a diagnosis; of one that is ended early, what its first search found."""
+    try:
+        if found.complete:
+            data, found, left = _looked_wider(data, found, look, progress)
+            # sizes that were kept near nominal stay there
+            data = replace(data, model=found.final.problem.model)
+            return concluded(data, found, left, progress)
+    except EndedEarly:
+        accept()
+    found = replace(found, complete=False)
+    data = replace(data, model=found.final.problem.model)
+    return concluded(data, found, left_by(data, found.final), progress)
 
 
 def _found(
@@ -127,13 +167,54 @@ def _found(
     progress: Callable[[str], None],
 ) -> Found:
     """Search once; with values of the user's own sizes, once more with these held."""
-    found = with_load(data, search(data, base, progress), accepted)
-    sizes = _sizes(data.model, reference) if reference is not None and not found.errors else frozenset()
-    if not sizes:
+    found = search(data, base, progress)
+    try:
+        if not found.complete:
+            return found
+        found = _with_credible_sizes(data, found, progress)
+        found = with_load(data, found, accepted)
+        sizes = _sizes(data.model, reference) if reference is not None and not found.errors else frozenset()
+        if not sizes:
+            return found
+        progress("the same with the sizes of the given model held")
+        held = replace(data, held=sizes)
+        again = search(held, fit_baseline(held, terms), progress)
+    except EndedEarly:
+        accept()
+        return replace(found, complete=False)
+    return _simpler(found, again) if again.complete else replace(found, complete=False)
+
+
+def _with_credible_sizes(data: Data, found: Found, progress: Callable[[str], None]) -> Found:
+    """What was found; where the baseline's own sizes gave way, once more with these kept near nominal.
+
+    The second answer has to be far likelier on the searched data: a nominal value may be wrong.
+    """
+    lost = given_way(data, found.baseline)
+    if not lost:
         return found
-    progress("the same with the sizes of the given model held")
-    held = replace(data, held=sizes)
-    return _simpler(found, search(held, fit_baseline(held, terms), progress))
+    near = replace(data, model=kept_near(data.model, lost))
+    baseline = fit_baseline(near, found.baseline.terms)
+    # on the windows that the first search ended on
+    short = fit_baseline(data, found.baseline.terms)
+    if not needed(data, short, baseline):
+        return found
+    progress(f"the same with {', '.join(size.key for size in lost)} near nominal")
+    found = replace(found, collapsed=lost)
+    credible = search(near, baseline, progress)
+    if not credible.complete:
+        return replace(found, complete=False)
+    if not credible.missing or not _far_likelier(
+        credible.final, _onward_like(near, found.final, credible.final)
+    ):
+        return found
+    return replace(credible, collapsed=lost)
+
+
+def _onward_like(data: Data, fitted: Fitted, like: Fitted) -> Fitted:
+    """The one fit on the windows of the other."""
+    own = replace(data, model=fitted.problem.model, window=like.window)
+    return fitted if fitted.window == like.window else onward(own, fitted)
 
 
 def _looked_wider(
@@ -156,6 +237,8 @@ def _looked_wider(
     wider = replace(data, search=searched, test=kept, sigma=sigma, test_sigma=test_sigma, first=data)
     wider, base = _with_lasting_noise(wider, fit_baseline(wider, found.baseline.terms))
     again = look(wider, base)
+    if not again.complete:
+        return data, replace(found, complete=False), left
     left_then = left_by(wider, again.final)
     if again.missing:
         more = goes_elsewhere(data) and adds_beyond_doubt(found.missing, again.missing)
@@ -236,8 +319,11 @@ def _excited(record: Record, sigma: np.ndarray) -> bool:
     )
 
 
-def _rows(found: Found, curves: Sequence[Unmodelled]) -> list[Estimate]:
-    """The table of what is left, sizes that were held included, with errors that the fit cannot know."""
+def _rows(found: Found, curves: Sequence[Unmodelled], accepted: Accepted | None = None) -> list[Estimate]:
+    """The table of what is left, sizes that were held included, with errors that the fit cannot know.
+
+    A size that was held at an accepted value is known as well as that.
+    """
     fitted = found.final
     rows = list(curves[-1].rows) if curves else []
     there = {row.key for row in rows}
@@ -247,38 +333,68 @@ def _rows(found: Found, curves: Sequence[Unmodelled]) -> list[Estimate]:
     held = [p for p in fitted.problem.model.parameters if p.term is None and p.key not in there]
     places = index_of(fitted.problem.model.parameters)
     values = np.array([fitted.theta[places[p.key]] for p in held])
-    rows = stated(held, values, np.array([found.errors.get(p.key, 0.0) for p in held])) + rows
+    errors = np.array([found.errors.get(p.key, _accepted_error(accepted, p)) for p in held])
+    rows = stated(held, values, errors) + rows
     known = [p for term in terms_named(fitted.problem.model, fitted.terms) for p in term.known]
     rows += stated(known, np.array([p.scale for p in known]), np.zeros(len(known)))
     return [with_error(row, found.errors.get(row.key, 0.0)) for row in rows]
 
 
-def _suffices(found: Found, curves: Sequence[Unmodelled]) -> float:
-    """The p value that the baseline suffices: of what was added to it first, be it named or a curve."""
-    return curves[0].evidence.p_value if curves and not found.missing else found.p_value
+def _suffices(end: Concluded, verdict: str) -> float:
+    """The p value that the baseline suffices: of what was added to it first, be it named or a curve.
+
+    Where nothing was, of the noise that would be as large as what is left; and where that is no mismatch
+    searched and held-out data together have not reached the level of one.
+    """
+    found, curves = end.found, end.curves
+    if found.missing or curves:
+        return found.p_value if found.missing else curves[0].evidence.p_value
+    if verdict != "unexplained_mismatch":
+        return max(found.p_value, TOGETHER)
+    effective, excess = effective_samples(found.final), max(found.final.noise, end.before.excess)
+    # of the sizes that gave way it is certain that they are not what is known of them
+    least = FALSE_ALARM if found.collapsed else 1.0
+    return min(found.p_value, least, float(stats.chi2.sf(effective * excess**2, effective)))
 
 
 def _verdict(end: Concluded, changed: Sequence[Change]) -> str:
     if end.found.missing or end.curves:
         return "missing_physics"
-    if end.more:
+    if end.more and not end.found.complete:
+        return "not_decidable"  # what explains it may be among what was not tried
+    if end.more or end.found.collapsed:
         return "unexplained_mismatch"
     return "parameter_change" if changed else "no_mismatch"
 
 
-def _changes(final: Sequence[Estimate], reference: Mapping[str, float] | None) -> tuple[Change, ...]:
-    """Reference values that the refitted model contradicts at the level of the verdict."""
-    if not reference:
-        return ()
-    rows = {row.key: row for row in final}
-    compared = [(rows[name], value) for name, value in reference.items() if name in rows]
+def _changes(
+    final: Sequence[Estimate], reference: Mapping[str, float] | None, accepted: Accepted | None
+) -> tuple[Change, ...]:
+    """Reference values that the refitted model contradicts at the level of the verdict.
+
+    The difference is held against the errors of both values. Values of ``[nominal]`` have none: they are what
+    a simulation has. Of a value that these data, or the accepted model's, do not know nothing is claimed.
+    """
+    rows = {row.key: row for row in final if row.identifiable}
+    compared = [(rows[name], value) for name, value in (reference or {}).items() if name in rows]
     changes = []
     for row, value in compared:
-        p_value = float(2.0 * stats.norm.sf(abs(row.value - value) / max(row.std_error, 1e-300)))
+        error = float(np.hypot(row.std_error, _accepted_error(accepted, row)))
+        p_value = float(2.0 * stats.norm.sf(abs(row.value - value) / error))
         if p_value * len(compared) < FALSE_ALARM:
             change = Change(row.name, row.joint, value, row.value, row.unit, row.ci99, p_value, row.recording)
             changes.append(change)
     return tuple(changes)
+
+
+def _accepted_error(accepted: Accepted | None, of: Estimate | Parameter) -> float:
+    """Standard error of a value of the accepted model, zero where there is none or it is taken as exact."""
+    if accepted is None:
+        return 0.0
+    # a model of one recording states a value once for all
+    keys = (of.key, keyed(of.name, of.joint))
+    key = next((key for key in keys if key in accepted.keys), of.key)
+    return float(np.sqrt(accepted.covariance_of([key])[0, 0]))
 
 
 def _unsearched(

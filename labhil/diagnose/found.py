@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
+from labhil.diagnose.collapsed import Collapsed
 from labhil.diagnose.evidence import Evidence
 from labhil.identify.fitted import Fitted
 
@@ -39,7 +40,11 @@ class Rival:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Where a search ended; ``errors`` are standard errors by key that its fits by themselves cannot know."""
+    """Where a search ended; ``errors`` are standard errors by key that its fits by themselves cannot know.
+
+    ``collapsed`` are sizes of the rig that gave way in the baseline.
+    ``complete`` is False where it was ended early, with the best so far.
+    """
 
     baseline: Fitted
     final: Fitted
@@ -48,6 +53,8 @@ class Found:
     p_value: float
     looks: int
     errors: Mapping[str, float] = field(default_factory=dict)
+    collapsed: tuple[Collapsed, ...] = ()
+    complete: bool = True
 
     @property
     def nothing(self) -> Found:

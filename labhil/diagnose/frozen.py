@@ -12,7 +12,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import stats
 
-from labhil.identify.windows import converter_step
+from labhil.identify.quantiser import converter_step
 from labhil.signals import FloatArray, IntArray
 
 CHANCE = 1e-5

@@ -19,6 +19,7 @@ from labhil.diagnose.judge import ALPHA, Data, supported
 from labhil.diagnose.refit import confirm, finish_best, refit
 from labhil.diagnose.screen import Candidate, Progress, candidates, rank
 from labhil.diagnose.weigh import ON_THE_WAY, pruned, relevant, supported_only, swapped
+from labhil.ending import EndedEarly, accept
 from labhil.identify.fitted import WORST_GROWTH, Fitted, climb
 
 SETTLED = 1.05
@@ -57,19 +58,29 @@ def search(data: Data, baseline: Fitted, progress: Progress) -> Found:
     looks = len(candidates(data.model, baseline.terms))
     trail = Trail(baseline, [])
     trail.begin(baseline)
-    with ThreadPoolExecutor(cores()) as executor:
-        hunt = Hunt(data, baseline, looks, executor, progress)
-        hunt.follow(trail)
-        if data.model.state_names:
-            progress("refitting on longer windows")
-            data, baseline = hunt.follow_on_longer_windows(trail)
-            trail.current = hunt.pruned(data, trail.current)
+    short: Fitted | None = None
+    complete = True
+    try:
+        with ThreadPoolExecutor(cores()) as executor:
+            hunt = Hunt(data, baseline, looks, executor, progress)
+            hunt.follow(trail)
+            if data.model.state_names:
+                short = trail.current
+                progress("refitting on longer windows")
+                data, baseline = hunt.follow_on_longer_windows(trail)
+                short = None
+                trail.current = hunt.pruned(data, trail.current)
+    except EndedEarly:
+        accept()
+        complete = False
+        # on longer windows the search was between one problem and another
+        trail.current = trail.current if short is None else short
     current, kept = supported_only(data, baseline, trail.current, looks)
     told = {step.terms[0] for step in kept}
     rivals = tuple(r for r in trail.rivals if r.instead_of in told)
     # of the first step when something was found, else of the last, which found nothing to add
     p_value = trail.p_values[0 if kept else -1] if trail.p_values else 1.0
-    return Found(baseline, current, kept, rivals, p_value, looks)
+    return Found(baseline, current, kept, rivals, p_value, looks, complete=complete)
 
 
 @dataclass(frozen=True, slots=True)

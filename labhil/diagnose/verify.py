@@ -16,6 +16,7 @@ from scipy import stats
 from labhil.diagnose import contradiction
 from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.evidence import effective_samples
+from labhil.identify.adequacy import FLOOR_KNOWN_TO, Adequacy, adequacy_of
 from labhil.identify.fit import WINDOW_IN_HORIZONS
 from labhil.identify.fitted import Fitted, covariances, free_of
 from labhil.identify.identifiability import lost_directions
@@ -86,7 +87,8 @@ class Verification:
     """The answer: ``consistent`` unless the smallest p value, times the questions, is under ``alpha``.
 
     ``values_p`` is that of all values together; ``reasons`` say what contradicts, a sentence each;
-    ``notes`` what the answer had to do without.
+    ``notes`` what the answer had to do without; ``adequacy`` says whether the values as they are explain the
+    recording, which is another question than whether it contradicts a model that never fitted to the noise.
     """
 
     consistent: bool
@@ -101,6 +103,7 @@ class Verification:
     window: float
     reasons: tuple[str, ...]
     notes: tuple[str, ...]
+    adequacy: Adequacy
 
 
 def verify(
@@ -144,6 +147,7 @@ def verify(
         window=window,
         reasons=_reasons(channels, values_p, changes, alpha / QUESTIONS),
         notes=_notes(accepted, model),
+        adequacy=adequacy_of([marks]),
     )
 
 
@@ -207,7 +211,7 @@ def _channels(
         dynamics = model.metric is Metric.INVERSE_DYNAMICS
         allowed = accepted.allowed_ratio(ratio_key, reached if dynamics else None)
         own = slopes[j :: len(sigma)] * sigma[j]
-        limited = contradiction.FLOOR_KNOWN_TO * allowed
+        limited = FLOOR_KNOWN_TO * allowed
         p_value, limit = contradiction.excess_p_value(marks, j, own, finite, limited, allowed > 1.0)
         found.append(
             ChannelVerdict(

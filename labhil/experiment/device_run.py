@@ -7,17 +7,21 @@ import time
 from collections.abc import Mapping
 from contextlib import ExitStack
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
+import numpy as np
 import zenoh
 
 from labhil.bus.ask import ask
+from labhil.bus.authentication import Refusals
+from labhil.bus.incoming import EventMessage, parse
 from labhil.bus.keys import command_key, event_key, setpoint_key, stream_key
 from labhil.bus.session import Bus
 from labhil.bus.subscribe import Subscription, subscribe
 from labhil.codec import Codec
-from labhil.documents import parse_json
 from labhil.errors import (
+    BusError,
+    CommandRefusedError,
     EmergencyStopError,
     InterlockError,
     LabhilError,
@@ -28,8 +32,10 @@ from labhil.errors import (
 from labhil.experiment.approach import Approach, Waypoints
 from labhil.experiment.controller import Controller
 from labhil.experiment.plan import DevicePlan
+from labhil.host_clock import unix_ns
 from labhil.service.hosts import ConnectedDevice
 from labhil.service.messages import Setpoint
+from labhil.signals import Batch
 
 PATIENCE = 10.0
 """How long the bus may take to find a host that has said that it is ready, s."""
@@ -54,7 +60,13 @@ class DeviceRun:
     """
 
     def __init__(
-        self, bus: Bus, plan: DevicePlan, device: ConnectedDevice, duration: float, changed: threading.Event
+        self,
+        bus: Bus,
+        plan: DevicePlan,
+        device: ConnectedDevice,
+        duration: float,
+        changed: threading.Event,
+        refusals: Refusals,
     ) -> None:
         self.plan = plan
         self.speed = device.speed
@@ -68,7 +80,9 @@ class DeviceRun:
         self.ends = False
         """Whether its host has said that it failed; why, it says when it has ended."""
         self._bus, self._duration, self._changed = bus, duration, changed
+        self._refusals = refusals
         self._codec = Codec(device.stream)
+        self._newest_ns = np.iinfo(np.int64).min
         self._controller = Controller(plan.steps, device.stream, device.safe)
         self._approach = Approach(plan.spec, device.stream)
         self._waypoints = Waypoints(plan.spec.waypoint_rate)
@@ -78,19 +92,24 @@ class DeviceRun:
         self._stalled = ""
         self._running = False
         self._token = ""
+        self._setpoint_key = setpoint_key(plan.name)
         self._setpoints = bus.session.declare_publisher(
-            setpoint_key(plan.name), congestion_control=zenoh.CongestionControl.BLOCK
+            self._setpoint_key, congestion_control=zenoh.CongestionControl.BLOCK
         )
-        self._samples: Subscription | None = None
+        self._subscriptions: list[Subscription] = []
         self._resources = ExitStack()
         self._stream_name = device.stream.name
 
     def __enter__(self) -> Self:
         with ExitStack() as resources:
             name = self.plan.name
-            resources.enter_context(subscribe(self._bus, event_key(name), self._take_events))
-            samples = subscribe(self._bus, stream_key(name, self._stream_name), self._take_samples)
-            self._samples = resources.enter_context(samples)
+            self._subscriptions = [
+                resources.enter_context(subscribe(self._bus, key, take))
+                for key, take in (
+                    (event_key(name), self._take_events),
+                    (stream_key(name, self._stream_name), self._take_samples),
+                )
+            ]
             self._resources = resources.pop_all()
         return self
 
@@ -107,7 +126,14 @@ class DeviceRun:
 
     def failure(self) -> Exception | None:
         """Return what went wrong with the device or with following it, None while all is well."""
-        return self.error or (self._samples.error if self._samples is not None else None)
+        if self.error is not None:
+            return self.error
+        for subscription in self._subscriptions:
+            if isinstance(subscription.error, LabhilError):
+                return subscription.error
+            if deaf := subscription.failure():
+                return BusError(f"the run no longer hears {self.plan.name}: {deaf}")
+        return None
 
     def take_lease(self, holder: str) -> None:
         """Become the one who commands the device; CommandRefusedError when it is not to be had."""
@@ -124,7 +150,7 @@ class DeviceRun:
         """Let the steps begin, or go on, at the device's next sample."""
         self.heard_at = time.monotonic()
         self._controller.forget()
-        self._since_ns = time.time_ns()
+        self._since_ns = unix_ns()
         self._started_at_ns = None  # however long the device has rested, its steps go on where they were
         self.rests, self.comes_back = "", False
         self._stalled = ""
@@ -139,11 +165,30 @@ class DeviceRun:
         self._resting = True
         ask(self._bus, command_key(self.plan.name, "safe"), {"reason": reason}, ASK_TIMEOUT)
 
-    def _take_samples(self, _key: str, payloads: list[bytes]) -> None:
+    def _own(self, key: str, payloads: list[bytes]) -> Batch | None:
+        """The samples among these that are the device's own and new; None where there are none."""
+        own = [payload for payload in payloads if self._codec.is_own(payload)]
+        if len(own) < len(payloads):
+            self._refusals.note(key, f"{len(payloads) - len(own)} messages are no samples of this device")
+        if not own:
+            return None
+        batch = self._codec.decode(own)
+        # the device's clock only goes on; a sample of before is a copy, and would turn the steps back
+        latest = np.maximum.accumulate(np.concatenate([[self._newest_ns], batch.t_hw_ns]))
+        new = batch.t_hw_ns > latest[:-1]
+        if not new.all():
+            self._refusals.note(key, f"{np.count_nonzero(~new)} samples are older than one that came before")
+            batch = Batch(batch.seq[new], batch.t_acq_ns[new], batch.t_hw_ns[new], batch.values[new])
+        self._newest_ns = int(latest[-1])
+        return batch if len(batch) else None
+
+    def _take_samples(self, key: str, payloads: list[bytes]) -> None:
+        batch = self._own(key, payloads)
+        if batch is None:
+            return
         self.heard_at = time.monotonic()
         if not self._running:
             return
-        batch = self._codec.decode(payloads)
         requested: dict[str, float] = {}
         t_hw_ns: int | None = None
         for t_ns, values in zip(batch.t_hw_ns.tolist(), batch.values.tolist(), strict=True):
@@ -166,33 +211,39 @@ class DeviceRun:
             self._put(requested, timed)
 
     def _put(self, requested: Mapping[str, float], t_hw_ns: int | None) -> None:
-        setpoint = Setpoint(self._token, time.time_ns(), dict(requested), t_hw_ns)
-        self._setpoints.put(setpoint.to_bytes())
+        setpoint = Setpoint(self._token, unix_ns(), dict(requested), t_hw_ns)
+        payload = setpoint.to_bytes()
+        self._setpoints.put(payload, attachment=self._bus.sign(self._setpoint_key, payload))
 
-    def _take_events(self, _key: str, payloads: list[bytes]) -> None:
+    def _take_events(self, key: str, payloads: list[bytes]) -> None:
         for payload in payloads:
-            event = parse_json(payload)
-            if event["t_ns"] < self._since_ns:
-                continue  # from before the steps went on
-            self.ends = self.ends or event["kind"] == "failed"
-            message = f"{self.plan.name}: {event['message']}"
-            if self._is_a_rest(event, message):
-                self._changed.set()
-                continue
-            error = self._error_of(event["kind"], message)
-            if error is not None and self.error is None:
-                self.error = error
-                self._changed.set()
+            try:
+                self._take_event(parse(EventMessage, payload, "an event"))
+            except CommandRefusedError as error:
+                self._refusals.note(key, str(error))
 
-    def _is_a_rest(self, event: dict[str, Any], message: str) -> bool:
+    def _take_event(self, event: EventMessage) -> None:
+        if event.t_ns < self._since_ns:
+            return  # from before the steps went on
+        self.ends = self.ends or event.kind == "failed"
+        message = f"{self.plan.name}: {event.message}"
+        if self._is_a_rest(event, message):
+            self._changed.set()
+            return
+        error = self._error_of(event.kind, message)
+        if error is not None and self.error is None:
+            self.error = error
+            self._changed.set()
+
+    def _is_a_rest(self, event: EventMessage, message: str) -> bool:
         """Note that the device was lost, came back, or that an interlock lets the run wait."""
-        kind = event["kind"]
+        kind = event.kind
         if kind == "reconnected":
             if self.comes_back:
                 self.rests = ""
             return True
         lost = kind in ("lost", "quiet") and self.plan.section.reconnect
-        if not lost and not (kind == "interlock" and event.get("then") == "pause"):
+        if not lost and not (kind == "interlock" and event.then == "pause"):
             return False
         if not self._running and not self._resting:
             return False  # not started, or done

@@ -13,6 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from functools import partial
 
+from labhil.bus.authentication import Refusals
 from labhil.bus.session import Bus
 from labhil.errors import BusError, LabhilError
 from labhil.experiment.device_run import DeviceRun
@@ -31,7 +32,10 @@ ENDING = 10.0
 class Devices:
     """The devices of one run with their hosts; ``duration`` is that of the steps, s of their clocks."""
 
-    def __init__(self, bus: Bus, holder: str, duration: float, changed: threading.Event) -> None:
+    def __init__(
+        self, bus: Bus, holder: str, duration: float, changed: threading.Event, refusals: Refusals
+    ) -> None:
+        self._refusals = refusals
         self.runs: list[DeviceRun] = []
         self._hosts: list[HostProcess] = []
         self._bus, self._holder, self._duration, self._changed = bus, holder, duration, changed
@@ -45,7 +49,8 @@ class Devices:
     ) -> None:
         """Wait until every host has its device; raises what a driver raised."""
         for plan, host in zip(plans, self._hosts, strict=True):
-            run = DeviceRun(self._bus, plan, host.wait_connected(interrupted), self._duration, self._changed)
+            device = host.wait_connected(interrupted)
+            run = DeviceRun(self._bus, plan, device, self._duration, self._changed, self._refusals)
             self.runs.append(subscriptions.enter_context(run))
 
     def start(self) -> None:
@@ -75,6 +80,8 @@ class Devices:
             trouble = run.failure()
             if trouble is not None:
                 raise trouble
+            if deaf := self._bus.failure():
+                raise BusError(f"the run no longer hears everything: {deaf}")
             patience = ENDING if run.ends else SILENCE
             if not run.comes_back and time.monotonic() - run.heard_at > patience:
                 raise BusError(f"{run.plan.name}: no samples on the bus for {patience:g} s")

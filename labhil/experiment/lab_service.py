@@ -9,20 +9,25 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from labhil.bus.publish import publish_event
 from labhil.bus.register import registered
 from labhil.bus.session import Bus
-from labhil.errors import LabhilError, RunStoppedError, UsageError
+from labhil.errors import BusError, LabhilError, RunStoppedError, UsageError
 from labhil.experiment.devices import end_hosts, host_config
 from labhil.experiment.experiment import TWIN, RecordSection
 from labhil.experiment.lab import Lab
 from labhil.experiment.plan import DevicePlan, device_plan
+from labhil.experiment.remote import offer_status
 from labhil.experiment.result import free_path
 from labhil.experiment.twins import start_twin
+from labhil.host_clock import session_clock, unix_ns
+from labhil.recording.rig_attachments import rig_attachments
 from labhil.service.hosts import HostProcess
-from labhil.service.recorder import Recorder
+from labhil.service.recorder import Recorder, RecordingSummary
 
 LOOK = 0.2
 """How often devices and the recording are looked after, s."""
@@ -45,7 +50,9 @@ class LabService:
     def run(self, ended: Callable[[], bool]) -> None:
         """Serve until ``ended``; LabhilError where no device is left, or nothing can be recorded."""
         names = [plan.name for plan in self._plans]
-        with ExitStack() as twins, registered(LAB, self._lab.lab.name, self._bus.endpoint, names):
+        reachable = registered(LAB, self._lab.lab.name, self._bus.endpoint, names)
+        with session_clock(), ExitStack() as twins, reachable:
+            offer_status(self._bus, self._status, twins)
             try:
                 self._record()
                 for plan in self._plans:
@@ -64,10 +71,13 @@ class LabService:
             address = plan.section.address
             if address == TWIN:
                 address = self._start_twin(plan, twins, ended)
-            host = HostProcess(host_config(plan, address, self._bus.endpoint))
+            patient = plan.section.reconnect
+            host = HostProcess(replace(host_config(plan, address, self._bus.endpoint), patient=patient))
             self._hosts[plan.name] = host
-            host.wait_connected(ended)
-            self._say(f"{plan.name}: {plan.section.plugin} at {address} is up")
+            if host.wait_or_absent(ended) is None:
+                self._say(f"{plan.name}: {host.absent}; it is looked for as long as this service lasts")
+            else:
+                self._say_up(plan.name)
         except RunStoppedError:
             raise
         except LabhilError as error:
@@ -81,14 +91,40 @@ class LabService:
         return address
 
     def _look_after(self) -> None:
+        if deaf := self._bus.failure():
+            raise BusError(f"the service no longer hears everything: {deaf}")
         for name, host in list(self._hosts.items()):
-            failure = host.failure()
+            try:
+                if host.absent and host.has_come():
+                    self._say_up(name)
+                failure = host.failure()
+            except LabhilError as error:
+                failure = error
             if failure is not None:
                 self._lose(name, failure)
-        if self._recorder is not None and self._recorder.failure is not None:
-            raise self._recorder.failure
+        if self._recorder is not None:
+            self._recorder.check()
         if self._recorder is not None and time.monotonic() - self._began > self._lab.lab.roll:
             self._record()
+
+    def _say_up(self, name: str) -> None:
+        config = self._hosts[name].config
+        self._say(f"{name}: {config.plugin} at {config.address} is up")
+
+    def _status(self) -> dict[str, Any]:
+        """What is answered to whoever asks how this lab stands."""
+        hosts = dict(self._hosts)
+        absent = {name: host.absent for name, host in hosts.items() if host.absent}
+        return {
+            "state": "serving",
+            "reason": "",
+            "name": self._lab.lab.name,
+            "devices": [plan.name for plan in self._plans],
+            "up": [name for name in hosts if name not in absent],
+            "absent": absent,
+            "failed": {name: str(error) for name, error in self.failed.items()},
+            "path": None if self._recorder is None else str(self._recorder.summary().path),
+        }
 
     def _lose(self, name: str, error: LabhilError) -> None:
         """Go on without a device; raises its error where it was the last one."""
@@ -97,7 +133,7 @@ class LabService:
         if host is not None:
             host.stop()
         self._say(f"{name}: {error}")
-        event = {"t_ns": time.time_ns(), "kind": "failed", "state": "failed", "message": str(error)}
+        event = {"t_ns": unix_ns(), "kind": "failed", "state": "failed", "message": str(error)}
         publish_event(self._bus, name, event)
         if len(self.failed) == len(self._plans):
             raise error
@@ -108,15 +144,19 @@ class LabService:
             return
         before = self._recorder
         path = free_path(self._folder, RecordSection().path, self._lab.lab.name)
-        attachments = {
-            "rig.toml" if index == 0 else f"rig.{plan.name}.toml": plan.rig.text.encode()
-            for index, plan in enumerate(self._plans)
-        }
+        attachments: dict[str, bytes] = {}
+        for index, plan in enumerate(self._plans):
+            attachments |= rig_attachments(plan.rig, plan.name if index else None)
         metadata = {"lab": {"name": self._lab.lab.name, "roll": repr(self._lab.lab.roll)}}
         self._recorder = Recorder(self._bus, path, attachments=attachments, metadata=metadata)
         self._began = time.monotonic()
         if before is not None:
-            self._say(f"recorded {before.finish('0', 'the next recording began').path}")
+            self._tell(before.finish("0", "the next recording began"))
+
+    def _tell(self, summary: RecordingSummary) -> None:
+        self._say(f"recorded {summary.path}")
+        for warning in summary.warnings:
+            self._say(f"{summary.path}: {warning}")
 
     def _stop(self) -> None:
         """Devices first, all at once; then what was recorded."""
@@ -124,7 +164,7 @@ class LabService:
         if self._recorder is not None:
             summary = self._recorder.finish("0", "the service ended")
             if any(stream.samples for stream in summary.streams):
-                self._say(f"recorded {summary.path}")
+                self._tell(summary)
             else:
                 summary.path.unlink()
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from typing import Any
 
 from labhil.bus.ask import Handler, serve
+from labhil.bus.authentication import Refusals
+from labhil.bus.incoming import AnyRequest, RunRequest, parse
 from labhil.bus.keys import RUN, command_key
 from labhil.bus.session import Bus
 from labhil.errors import CommandRefusedError
@@ -22,12 +25,15 @@ Describe = Callable[[], Mapping[str, Any]]
 
 
 @contextmanager
-def offer_control(bus: Bus, control: RunControl, describe: Describe) -> Iterator[None]:
+def offer_control(
+    bus: Bus, control: RunControl, describe: Describe, refusals: Refusals | None = None
+) -> Iterator[None]:
     """Answer on ``lab/@run/cmd/{status,pause,resume,stop,abort}`` as long as the context lasts.
 
     Each answers with ``{"state", "reason", …}`` and what ``describe`` adds, once the run has done what was
     asked, or after ``ANSWER_WITHIN`` s as things stand then. ``pause``, ``stop`` and ``abort`` take a
-    ``reason``. What the run's state does not allow, or the run refuses, is answered as refused.
+    ``reason``. What the run's state does not allow, or the run refuses, is answered as refused; so is all
+    but ``status`` where it is not signed with the session's key.
     """
     end = (RunState.STOPPING, RunState.ABORTING, RunState.FINISHED, RunState.FAILED)
     requests: dict[str, tuple[Callable[[str], None], tuple[RunState, ...]]] = {
@@ -43,8 +49,8 @@ def offer_control(bus: Bus, control: RunControl, describe: Describe) -> Iterator
     def handler(name: str) -> Handler:
         request, awaited = requests[name]
 
-        def handle(payload: dict[str, Any]) -> dict[str, Any]:
-            request(str(payload.get("reason", f"told to {name} over the bus"))[:LONGEST_REASON])
+        def handle(asked: RunRequest) -> dict[str, Any]:
+            request((asked.reason or f"told to {name} over the bus")[:LONGEST_REASON])
             control.wait_for(*awaited, timeout=ANSWER_WITHIN)
             if control.refusal:
                 raise CommandRefusedError(control.refusal)
@@ -52,8 +58,25 @@ def offer_control(bus: Bus, control: RunControl, describe: Describe) -> Iterator
 
         return handle
 
+    refusals = refusals or Refusals()
     with ExitStack() as stack:
-        stack.enter_context(serve(bus, command_key(RUN, "status"), lambda _payload: status()))
+        offer_status(bus, status, stack)
         for name in requests:
-            stack.enter_context(serve(bus, command_key(RUN, name), handler(name)))
+            reader = partial(parse, RunRequest, what=name)
+            stack.enter_context(
+                serve(
+                    bus,
+                    command_key(RUN, name),
+                    handler(name),
+                    reader=reader,
+                    guarded=lambda _asked: True,
+                    refusals=refusals,
+                )
+            )
         yield
+
+
+def offer_status(bus: Bus, status: Callable[[], Mapping[str, Any]], stack: ExitStack) -> None:
+    """Answer on ``lab/@run/cmd/status``, to anybody, until ``stack`` is closed."""
+    reader = partial(parse, AnyRequest, what="status")
+    stack.enter_context(serve(bus, command_key(RUN, "status"), lambda _asked: status(), reader=reader))

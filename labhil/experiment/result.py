@@ -32,6 +32,7 @@ class RunResult:
 
     ``duration`` (s) and the rates of ``streams`` (Hz) are measured, in seconds of the devices' worlds.
     ``error`` is why it came to grief, None when all went well; ``reason`` says either in words.
+    ``warnings`` say what is wrong with the clocks that stamped the recording.
     """
 
     path: Path | None
@@ -40,6 +41,7 @@ class RunResult:
     streams: tuple[StreamSummary, ...]
     reason: str
     error: LabhilError | None = None
+    warnings: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Return the result as the contract's ``labhil.run/1``."""
@@ -60,6 +62,7 @@ class RunResult:
             "duration": self.duration,
             "streams": streams,
             "reason": self.reason,
+            "warnings": list(self.warnings),
         }
 
 
@@ -99,7 +102,8 @@ def result_of(
     streams = tuple(
         replace(stream, rate=stream.rate / speeds.get(stream.device, 1.0)) for stream in summary.streams
     )
-    return RunResult(summary.path, status, _duration(streams), streams, reason, error)
+    duration = _duration(streams)
+    return RunResult(summary.path, status, duration, streams, reason, error, summary.warnings)
 
 
 def _duration(streams: tuple[StreamSummary, ...]) -> float:

@@ -9,23 +9,34 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from labhil.bus.authentication import Refusals
 from labhil.bus.latch import read_latch
 from labhil.bus.publish import publish_event
 from labhil.bus.register import registered
 from labhil.bus.session import Bus, open_bus
-from labhil.errors import CommandRefusedError, EmergencyStopError, LabhilError, RunStoppedError, UsageError
+from labhil.errors import (
+    BusError,
+    CommandRefusedError,
+    EmergencyStopError,
+    LabhilError,
+    RunStoppedError,
+    UsageError,
+)
 from labhil.experiment.control import RunControl, RunState
-from labhil.experiment.devices import Devices, host_config
+from labhil.experiment.devices import Devices, at_once, host_config
 from labhil.experiment.experiment import TWIN, Experiment
 from labhil.experiment.interruption import Interruption
 from labhil.experiment.plan import DevicePlan, Plan, make_plan
 from labhil.experiment.remote import offer_control
 from labhil.experiment.result import Progress, RunResult, answer_path, recording_path, result_of
 from labhil.experiment.twins import start_twin
+from labhil.host_clock import session_clock, unix_ns
+from labhil.recording.rig_attachments import rig_attachments
 from labhil.service.recorder import Recorder
 
 __all__ = [
@@ -41,6 +52,8 @@ __all__ = [
 PROGRESS_INTERVAL = 0.1
 AFTER_EMERGENCY_STOP = 2.0
 """How long hosts stay after an emergency stop, s."""
+LONGEST_HOLDER = 200
+"""Characters of a run's name that stand with the lease."""
 COMING_TO_REST = 0.5
 """How long what moves along a path is recorded after it was told to stop, s."""
 
@@ -77,7 +90,7 @@ def run_experiment(
         out_dir.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"{out_dir}: expected a directory for the recording, found {error}") from error
-    with Interruption() as interrupted:
+    with session_clock(), Interruption() as interrupted:
         return _Run(plan, recording_path(experiment, out_dir), progress, interrupted, control).run()
 
 
@@ -95,6 +108,7 @@ class _Run:
         self._bus: Bus | None = None
         self._devices: Devices | None = None
         self._goes_on_alone = False
+        self._refusals = Refusals(lambda text: self._publish("rejected", text))
 
     def run(self) -> RunResult:
         with ExitStack() as twins:
@@ -115,7 +129,7 @@ class _Run:
         section = self._plan.experiment.experiment
         with (
             registered("run", section.name, bus.endpoint, names),
-            offer_control(bus, self._control, self._describe),
+            offer_control(bus, self._control, self._describe, self._refusals),
         ):
             yield
 
@@ -126,10 +140,13 @@ class _Run:
             self._path,
             attachments=self._attachments(),
             metadata=self._metadata(),
+            waits=True,
             on_failure=self._control.changed.set,
         )
         name = f"run {self._plan.experiment.experiment.name}"
-        self._devices = devices = Devices(bus, name, self._plan.duration, self._control.changed)
+        self._devices = devices = Devices(
+            bus, name[:LONGEST_HOLDER], self._plan.duration, self._control.changed, self._refusals
+        )
         error: LabhilError | None = None
         reason = "all steps are done"
         with recorder, ExitStack() as subscriptions:
@@ -137,6 +154,7 @@ class _Run:
                 self._become(RunState.STARTING, "starting")
                 self._start(bus, devices, twins, subscriptions)
                 self._become(RunState.RUNNING, "all devices are connected")
+                recorder.begin()
                 self._follow(recorder, devices)
             except _Enough as enough:
                 reason = str(enough)
@@ -157,18 +175,30 @@ class _Run:
 
     def _start(self, bus: Bus, devices: Devices, twins: ExitStack, subscriptions: ExitStack) -> None:
         try:
+            self._look_at_requests()
+            addresses = self._addresses(twins)
+            self._look_at_requests()
             for device in self._plan.devices:
-                self._look_at_requests()
-                address = device.section.address
-                if address == TWIN:
-                    address = self._start_twin(device, twins)
-                    self._look_at_requests()
-                devices.start_host(host_config(device, address, bus.endpoint))
+                devices.start_host(host_config(device, addresses[device.name], bus.endpoint))
             devices.connect(self._plan.devices, subscriptions, self._is_to_end)
         except RunStoppedError:
             self._look_at_requests()  # which knows why, and whether it is an error
             raise
         devices.start()
+
+    def _addresses(self, twins: ExitStack) -> dict[str, str]:
+        """Where every device is; simulated ones are started, all at once."""
+        found = {device.name: device.section.address for device in self._plan.devices}
+        simulated = [device for device in self._plan.devices if found[device.name] == TWIN]
+
+        def start(device: DevicePlan) -> None:
+            found[device.name] = self._start_twin(device, twins)
+
+        outcomes = at_once([partial(start, device) for device in simulated])
+        for error in outcomes:
+            if error is not None:
+                raise error
+        return found
 
     def _start_twin(self, device: DevicePlan, twins: ExitStack) -> str:
         several = sum(other.section.address == TWIN for other in self._plan.devices) > 1
@@ -190,8 +220,7 @@ class _Run:
     def _attachments(self) -> dict[str, bytes]:
         attachments = {"experiment.toml": self._plan.experiment.public_text().encode()}
         for index, device in enumerate(self._plan.devices):
-            name = "rig.toml" if index == 0 else f"rig.{device.name}.toml"
-            attachments[name] = device.rig.text.encode()
+            attachments |= rig_attachments(device.rig, device.name if index else None)
         return attachments
 
     def _metadata(self) -> dict[str, dict[str, str]]:
@@ -205,11 +234,20 @@ class _Run:
             self._control.changed.wait(PROGRESS_INTERVAL)
             self._control.changed.clear()
             self._look_at_requests()
-            if recorder.failure is not None:
-                raise recorder.failure
+            recorder.check()
             devices.look_after()
+            self._look_at_latch()
             self._wait_or_go_on(devices)
             self._report("")
+
+    def _look_at_latch(self) -> None:
+        """Hear the emergency stop without any device and without the bus, too."""
+        try:
+            standing = read_latch()
+        except (LabhilError, OSError):
+            return  # a directory that cannot be read is no stop; hosts look there as well
+        if standing is not None:
+            raise EmergencyStopError(standing.describe())
 
     def _look_at_requests(self) -> None:
         """Do what was asked for; raises _Enough or RunStoppedError where that is to end."""
@@ -287,8 +325,10 @@ class _Run:
     def _publish(self, kind: str, message: str) -> None:
         if self._bus is not None:
             state = self._control.state.value
-            event = {"t_ns": time.time_ns(), "kind": kind, "state": state, "message": message}
-            publish_event(self._bus, "run", event)
+            event = {"t_ns": unix_ns(), "kind": kind, "state": state, "message": message}
+            # a bus that is closed must not hide why the run ends
+            with suppress(BusError):
+                publish_event(self._bus, "run", event)
 
     def _report(self, message: str) -> None:
         elapsed, duration = self._elapsed(), self._plan.duration
@@ -304,6 +344,7 @@ class _Run:
             "duration": self._plan.duration,
             "devices": [device.name for device in self._plan.devices],
             "path": str(self._path),
+            "refused": dict(self._refusals.counts),
         }
 
     def _kept(self) -> Path | None:

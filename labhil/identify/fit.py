@@ -3,30 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
+from labhil.ending import EndedEarly, accept
 from labhil.errors import UnknownNameError, UsageError
 from labhil.identify import statistics
+from labhil.identify.adequacy import EXPLAINED_TO, Adequacy, adequacy_of
 from labhil.identify.estimators import DEFAULT, INTERRUPTED, search
 from labhil.identify.fitted import (
     Fitted,
     climb,
     covariances,
+    fit_briefly,
     fit_terms,
     free_of,
-    longest_trusted,
     settled,
     start_theta,
+    trusted_rung,
 )
 from labhil.identify.identifiability import Identifiability, identifiability
 from labhil.identify.intervals import Intervals
 from labhil.identify.problem import Problem
+from labhil.identify.sampling import moved_estimates, sampling_notes
 from labhil.identify.score import Score, score, with_forces
 from labhil.identify.shapes import beside_rivals, over_shapes
-from labhil.identify.table import ParameterTable, table_of
+from labhil.identify.table import ParameterTable, table_of, widened
 from labhil.identify.windows import fit_windows, noise_of, told_apart
 from labhil.physics.model import Metric, Model, Record, terms_named
 from labhil.physics.rigs import by_inverse_dynamics
@@ -62,8 +66,8 @@ class WindowEstimate:
 class Options:
     """How a fit is made.
 
-    ``window`` (s) is the length of the fitted windows; by default the longest of a ladder whose residuals
-    have not grown: where noise drives the plant itself, long windows bias the estimates. ``intervals``
+    ``window`` (s) is the length of the fitted windows; by default one of a ladder, see
+    ``fitted.trusted_rung``. ``intervals``
     says how they are made; ``simultaneous`` ones hold for all parameters together. ``estimator`` is one
     of ``estimators.ESTIMATORS``, ``seed`` that of its draws. ``criterion`` is what is made small; scores
     are by the model's own metric whatever it is.
@@ -100,7 +104,9 @@ class Fit:
     """A fitted model with its statistics; ``covariance`` (P, P) is the robust one, in SI units.
 
     ``residuals`` (N, channels) are those of the fitted windows, in units of noise; ``left`` is their size.
-    ``criterion`` is what was made small.
+    ``criterion`` is what was made small. ``adequacy`` says whether it explains the data; where it does not,
+    errors and covariance hold how far the estimates are from those on ``compared`` windows (s), and
+    ``sampling`` says whether the sampling may be why. ``complete`` is False where it was ended early.
     """
 
     terms: tuple[str, ...]
@@ -119,10 +125,14 @@ class Fit:
     simultaneous: bool
     train: Score
     test: Score | None
+    adequacy: Adequacy
     ljung_box_p: float
     input_crosscorrelation_p: float
     evaluations: int
     converged: bool
+    complete: bool = True
+    sampling: tuple[str, ...] = ()
+    compared: tuple[float, ...] = ()
 
 
 def fit(
@@ -148,14 +158,39 @@ def fit(
     if Metric.INVERSE_DYNAMICS in (model.metric, how.criterion):
         inverse = by_inverse_dynamics(model)
         keys = tuple(term.key for term in terms_named(inverse, terms))
-        rungs, lengths = _regressed(inverse, inverse.prepare(record), keys, begin)
+        prepared = inverse.prepare(record)
+        try:
+            (rungs, lengths), complete = _regressed(inverse, prepared, keys, begin), True
+        except EndedEarly:  # linear: no way there is shorter
+            accept()
+            (rungs, lengths), complete = _regressed(inverse, prepared, keys, begin), False
     else:
         keys = tuple(term.key for term in terms_named(model, terms))
         lengths = [how.window] if how.window else _ladder(model, record)
-        rungs = _climbed(model, record, keys, lengths, noise_of(record), begin, () if start else keys, how)
-    chosen = longest_trusted(rungs)
+        rungs, complete = _climbed(
+            model, record, keys, lengths, noise_of(record), begin, () if start else keys, how
+        )
+    try:
+        if complete:
+            return _finished(model, rungs, lengths, record, test, how)
+    except EndedEarly:
+        accept()
+    quick = replace(how, intervals=Intervals.WALD)
+    return replace(_finished(model, rungs, lengths, record, test, quick), complete=False)
+
+
+def _finished(
+    model: Model,
+    rungs: Sequence[Fitted],
+    lengths: Sequence[float],
+    record: Record,
+    test: Record | None,
+    how: Options,
+) -> Fit:
+    """Statistics and scores of the fits on these ``lengths`` of windows (s); fewer where it ended early."""
+    chosen = trusted_rung(rungs, lengths, model.horizon)
     how.progress(f"statistics and scores, intervals by {how.intervals}")
-    by_window = [_window_estimate(r, length) for r, length in zip(rungs, lengths, strict=True)]
+    by_window = [_window_estimate(r, length) for r, length in zip(rungs, lengths, strict=False)]
     table = table_of(rungs[chosen], how.intervals, how.simultaneous)
     scores = tuple(_scored(model, rungs[chosen].theta, r) for r in (record, test) if r is not None)
     return _finish(scores, rungs, chosen, by_window, table, how)
@@ -185,18 +220,34 @@ def _climbed(
     begin: FloatArray,
     fresh: Sequence[str],
     how: Options,
-) -> list[Fitted]:
-    """Fits on longer and longer windows, the longest trusted one settled in its lowest minimum."""
+) -> tuple[list[Fitted], bool]:
+    """Fits on longer and longer windows, the longest trusted one settled in its lowest minimum.
+
+    Also whether all of that was done: those that there are by then where it is ended early.
+    """
     how.progress(f"fitting {len(terms)} terms on windows of {', '.join(f'{x:.3g}' for x in lengths)} s")
-    first = _first_rung(model, record, terms, lengths, sigma, begin, fresh, how)
-    how.progress("looking for other minima")
-    first = over_shapes(first)
-    rungs = [first, *climb(model, record, terms, lengths[1:], sigma, start=first.theta, fresh=())]
-    how.progress("looking for lower minima on the longest trusted windows")
-    chosen = longest_trusted(rungs)
-    found = beside_rivals(rungs[chosen], first.rivals) if chosen else first
-    rungs[chosen] = settled(found)
-    return rungs
+    rungs: list[Fitted] = []
+    try:
+        rungs.append(_first_rung(model, record, terms, lengths, sigma, begin, fresh, how))
+        how.progress("looking for other minima")
+        rungs[0] = first = over_shapes(rungs[0])
+        longer: list[Fitted] = []
+        try:
+            climb(model, record, terms, lengths[1:], sigma, start=first.theta, fresh=(), reached=longer)
+        finally:
+            rungs += longer
+        how.progress("looking for lower minima on the longest trusted windows")
+        chosen = trusted_rung(rungs, lengths, model.horizon)
+        found = beside_rivals(rungs[chosen], first.rivals) if chosen else first
+        rungs[chosen] = settled(found)
+    except EndedEarly as early:
+        accept()
+        if not rungs:
+            start = begin if early.theta is None else early.theta
+            new = early.theta is None and bool(fresh)
+            rungs.append(fit_briefly(model, record, terms, lengths[0], sigma, start, fresh=new))
+        return rungs, False
+    return rungs, True
 
 
 def _regressed(
@@ -254,7 +305,11 @@ def _scouted(problem: Problem, begun: Callable[..., Fitted], how: Options) -> Fi
     for again in range(SEARCHES if how.estimator == DEFAULT else 1):
         how.progress(f"searching by {how.estimator}" + (", another seed" if again else ""))
         found = search(problem, how.estimator, seed=how.seed + again, progress=how.progress)
-        scouts.append(begun(start=found.theta, new_terms=(), hopeless=0.0))
+        try:
+            scouts.append(begun(start=found.theta, new_terms=(), hopeless=0.0))
+        except EndedEarly as early:
+            early.theta = scouts[0].theta if scouts else found.theta
+            raise
         least = sorted(scout.noise for scout in scouts)
         agreed = again and least[1] < CONFIRMED * least[0]
         if least[0] < EXPLAINED or agreed or found.found.stopped_because == INTERRUPTED:
@@ -273,6 +328,17 @@ def _window_estimate(fitted: Fitted, length: float) -> WindowEstimate:
         dict(zip(names, values.tolist(), strict=True)),
         dict(zip(names, errors.tolist(), strict=True)),
     )
+
+
+def _comparable(by_window: Sequence[WindowEstimate], chosen: int) -> list[WindowEstimate]:
+    """Fits on other windows that should agree with the chosen one, were the model complete.
+
+    Where the shortest windows fit to the noise, only those that do: longer ones are biased by what disturbs
+    the plant, which is no fault of the estimate on short ones. Else all.
+    """
+    disturbed = by_window[0].residual <= EXPLAINED_TO
+    others = [rung for k, rung in enumerate(by_window) if k != chosen]
+    return [rung for rung in others if not disturbed or rung.residual <= EXPLAINED_TO]
 
 
 def _left(fitted: Fitted) -> tuple[FittedChannel, ...]:
@@ -299,6 +365,11 @@ def _finish(
     residuals = fitted.solution.residuals.reshape(-1, len(problem.sigma))
     inputs, begins = problem.record.inputs[problem.windows.rows, 0], problem.begins
     values = fitted.theta[problem.free]
+    adequacy = adequacy_of(scores)
+    others = [] if adequacy.explained else _comparable(by_window, chosen)
+    if not adequacy.explained:
+        values_of, errors_of = [rung.values for rung in others], [rung.std_errors for rung in others]
+        table = widened(table, parameters, values_of, errors_of, moved_estimates(fitted))
     return Fit(
         terms=fitted.terms,
         estimates=table.rows,
@@ -312,6 +383,7 @@ def _finish(
         left=_left(fitted),
         criterion=problem.model.metric,
         fitted=fitted,
+        adequacy=adequacy,
         intervals=how.intervals,
         simultaneous=how.simultaneous,
         train=scores[0],
@@ -322,4 +394,6 @@ def _finish(
         ),
         evaluations=sum(rung.problem.evaluations for rung in rungs),
         converged=fitted.solution.converged,
+        sampling=sampling_notes(fitted, explained=adequacy.explained),
+        compared=tuple(rung.window for rung in others),
     )

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from labhil.identify import statistics
+from labhil.identify.adequacy import EXPLAINED_TO
 from labhil.identify.least_squares import Solution, least_squares, settle
 from labhil.identify.problem import Point, Problem
 from labhil.identify.sensitivities import sensitivities
@@ -20,6 +21,10 @@ WORST_GROWTH = 1.3
 SCOUT_ITERATIONS = 8
 FIRST_ITERATIONS, LED_ON = 3, 2
 """Steps from every start where there are many, and from how many of them a scout goes on."""
+
+
+BRIEF_ITERATIONS = 5
+"""Steps of a fit that is ended before it came to anything: a second or two, and far below its start."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,14 +195,16 @@ def climb(
     start: FloatArray,
     fresh: Sequence[str],
     held: Collection[str] = (),
+    reached: list[Fitted] | None = None,
 ) -> list[Fitted]:
     """Fit on longer and longer windows (s), each from where the one before ended.
 
     Short windows lead to the neighbourhood whatever the start, long ones to the estimate. The terms
     ``fresh`` begin at each of their own starts on the first. What ends at a bound has lost its way (a mass,
-    on windows too short to show it) and begins once more.
+    on windows too short to show it) and begins once more. ``reached``, an empty list, is filled on the way:
+    it holds what there is when the fit is ended early.
     """
-    rungs: list[Fitted] = []
+    rungs: list[Fitted] = [] if reached is None else reached
     for length in lengths:
         begin = rungs[-1].theta if rungs else start
         fit = partial(
@@ -222,8 +229,17 @@ def _off_bounds(rung: Fitted, begin: FloatArray) -> FloatArray | None:
     return None if np.array_equal(back[lost], begin[lost]) else back
 
 
-def longest_trusted(rungs: Sequence[Fitted]) -> int:
-    """The longest windows whose residuals have grown by less than 30 % over those of the shortest."""
+def trusted_rung(rungs: Sequence[Fitted], lengths: Sequence[float], horizon: float) -> int:
+    """Which of the fits on longer and longer windows (``lengths``, s) is the answer.
+
+    Where the shortest windows fit to the noise: the longest whose residuals have grown by less than 30 %
+    over theirs, since noise that drives the plant itself biases longer ones. Where not even those fit, the
+    model is incomplete and none is free of bias; short windows then are no safer, they only fit the misfit
+    with their own initial states. The windows nearest to the scored ``horizon`` (s), which was chosen before
+    anything was fitted, give the values that predict best what the model is judged by.
+    """
+    if rungs[0].noise > EXPLAINED_TO:
+        return int(np.argmin(np.abs(np.log(np.asarray(lengths[: len(rungs)]) / horizon))))
     trusted = [i for i, rung in enumerate(rungs) if rung.noise <= WORST_GROWTH * rungs[0].noise]
     return max(trusted)
 
@@ -237,3 +253,33 @@ def settled(fitted: Fitted) -> Fitted:
     spread = directions * np.sqrt(np.clip(variances, 0.0, 1.0))
     solution = settle(fitted.problem, fitted.solution, spread)
     return replace(fitted, theta=fitted.problem.theta(solution.point.z), solution=solution)
+
+
+def fit_briefly(
+    model: Model,
+    record: Record,
+    terms: Sequence[str],
+    window: float,
+    sigma: FloatArray,
+    start: FloatArray,
+    *,
+    fresh: bool,
+) -> Fitted:
+    """A few steps from one start: what there is where a fit is ended before it came to anything.
+
+    ``fresh`` terms begin at the first of their own starts, else all begin at ``start``.
+    """
+    new = terms_named(model, terms) if fresh else ()
+    starts = starts_of(model, new, record)[:1] if new else [{}]
+    return fit_terms(
+        model,
+        record,
+        terms,
+        window,
+        sigma,
+        start=start,
+        starts=starts,
+        iterations=BRIEF_ITERATIONS,
+        thorough=False,
+        shapes=False,
+    )

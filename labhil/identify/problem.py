@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
+from labhil.ending import checkpoint
 from labhil.identify.rounding import telling_share
 from labhil.identify.windows import noise_at
 from labhil.physics.model import Model, Record, Windows
@@ -50,7 +51,8 @@ class Problem:
     ``free`` (P,) are the places of the estimated parameters in the model's vector; ``base`` is that
     vector with everything else in place; ``sigma`` (channels,) the noise that residuals are divided by, and
     ``noise`` the same at the windows' rows, where recordings differ in it, (N, channels). ``begins`` are the
-    rows of the windows (of samples, not of channels) at which a recording begins.
+    rows of the windows (of samples, not of channels) at which a recording begins. A censored reading, one at
+    the end of its range, leaves no residual where the simulation lies beyond that end.
     """
 
     def __init__(
@@ -81,6 +83,7 @@ class Problem:
         self.evaluations = 0
         self.guess = model.initial_states(record, windows)
         self._measured = record.outputs[windows.rows]
+        self._censored = None if record.censored is None else record.censored[windows.rows]
 
     @cached_property
     def telling(self) -> float:
@@ -119,11 +122,15 @@ class Problem:
 
     def residuals_at(self, theta: FloatArray, states: FloatArray) -> FloatArray:
         """The same at a whole vector ``theta`` and the windows' ``states``, (N·c,)."""
+        checkpoint()
         self.evaluations += 1
         # a plant that runs away is wrong by enough; its square must still be a number
         with np.errstate(over="ignore"):
             simulated = self.model.simulate(theta, self.record, self.windows, states)
-            residuals = ((simulated - self._measured) / self.noise).ravel()
+            residuals = (simulated - self._measured) / self.noise
+            if self._censored is not None:
+                residuals = np.where(self._censored * residuals > 0.0, 0.0, residuals)
+            residuals = residuals.ravel()
         return np.clip(np.nan_to_num(residuals, nan=WORST), -WORST, WORST)
 
     def linearise(self, point: Point, residuals: FloatArray, *, central: bool = False) -> Linearised:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labhil.identify.windows import converter_step
+from labhil.identify.quantiser import converter_step
 from labhil.physics.model import Record
 from labhil.signals import FloatArray
 

@@ -39,6 +39,8 @@ FADED = 0.01
 class Estimate:
     """One parameter with what is known of it; ``ci99`` is the interval at 99 %, cut at the bounds.
 
+    A value that was held, not estimated, has no error: ``std_error``, ``ci99``, ``z`` and ``p_value`` are
+    NaN.
     ``std_error_reference`` is the reference text's own formula, √C_ii/√n of the classical covariance,
     kept for comparison with its tables only: its intervals are far too narrow.
     """
@@ -220,15 +222,18 @@ def estimates(
     """Put values, robust ``covariance`` and ``classical`` covariance (P, P) into a row per parameter.
 
     ``unknown`` (P,) marks parameters that take part in a direction which the data do not know;
-    ``intervals`` (P,) are cut at the bounds here.
+    ``intervals`` (P,) are cut at the bounds here. A variance of zero says that a value was held.
     """
     rows = []
     for i, parameter in enumerate(parameters):
-        value, error = float(values[i]), float(np.sqrt(max(covariance[i, i], 0.0)))
-        z = value / error if error > 0 else float("inf")
+        value, error = float(values[i]), float(np.sqrt(covariance[i, i])) if covariance[i, i] > 0 else np.nan
+        z = value / error
         p_value = float(2.0 * stats.norm.sf(abs(z)))
         at_bound = parameter.at_bound(value)
-        identifiable = 0.0 < error < max(parameter.scale, abs(value)) and not unknown[i]
+        identifiable = bool(error < max(parameter.scale, abs(value)) and not unknown[i])
+        low, high = max(intervals[i][0], parameter.lower), min(intervals[i][1], parameter.upper)
+        if np.isnan(error) or not (identifiable or low < high):
+            low = high = np.nan  # nothing is known of it, and an interval without width would say all
         rows.append(
             Estimate(
                 name=parameter.name,
@@ -237,8 +242,8 @@ def estimates(
                 value=value,
                 unit=parameter.unit,
                 std_error=error,
-                std_error_reference=float(np.sqrt(max(classical[i, i], 0.0) / n)),
-                ci99=(max(intervals[i][0], parameter.lower), min(intervals[i][1], parameter.upper)),
+                std_error_reference=float(np.sqrt(classical[i, i] / n)) if classical[i, i] > 0 else np.nan,
+                ci99=(low, high),
                 z=z,
                 p_value=p_value,
                 significant=p_value < ALPHA and identifiable and not at_bound,
@@ -259,13 +264,26 @@ def stated(parameters: list[Parameter], values: FloatArray, errors: FloatArray) 
 
 def with_error(row: Estimate, error: float) -> Estimate:
     """The row with a standard error of at least this."""
-    if not error > row.std_error:
+    if not error > (0.0 if np.isnan(row.std_error) else row.std_error):
         return row
     z = row.value / error
     p_value = float(2.0 * stats.norm.sf(abs(z)))
     ends = row.value - REACH * error, row.value + REACH * error
     sure = row.significant and p_value < ALPHA
     return replace(row, std_error=error, ci99=ends, z=z, p_value=p_value, significant=sure)
+
+
+def with_wider_error(row: Estimate, error: float, bounds: tuple[float, float]) -> Estimate:
+    """The row with a larger standard error; its interval becomes the hull with what that error gives.
+
+    ``bounds`` cut the interval.
+    """
+    wider = with_error(row, error)
+    if wider is row:
+        return row
+    low = max(min(row.ci99[0], wider.ci99[0]), bounds[0])
+    high = min(max(row.ci99[1], wider.ci99[1]), bounds[1])
+    return replace(wider, ci99=(low, high))
 
 
 def of_channels(

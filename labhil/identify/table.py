@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -64,6 +65,44 @@ def table_of(
     if method is not Intervals.WALD:
         rows = _without_the_open(rows, chosen, robust, reach)
     return ParameterTable(rows, robust, jacobian)
+
+
+def widened(
+    table: ParameterTable,
+    parameters: Sequence[Parameter],
+    values: Sequence[Mapping[str, float]],
+    errors: Sequence[Mapping[str, float]],
+    moved: FloatArray,
+) -> ParameterTable:
+    """The table of a model that does not explain its data, with how far its estimates move in the errors.
+
+    ``values`` and ``errors`` are those of fits on windows of other lengths, ``moved`` (P,) what the input
+    between samples may do. A complete model gives the same
+    values on all of them, up to its errors; the variance beyond these is the part of the bias that the data
+    show, and is added. What all lengths have in common stays unseen.
+    """
+    spread = np.array([_spread(row, values, errors) for row in table.rows])
+    old = np.array([row.std_error for row in table.rows])
+    new = np.sqrt(old**2 + spread**2 + moved**2)
+    factor = np.where(np.isfinite(new) & (old > 0.0), new / np.maximum(old, 1e-300), 1.0)
+    rows = [
+        statistics.with_wider_error(row, float(error), (parameter.lower, parameter.upper))
+        for row, error, parameter in zip(table.rows, new, parameters, strict=True)
+    ]
+    covariance = table.covariance * np.outer(factor, factor)
+    return ParameterTable(rows, covariance, table.jacobian)
+
+
+def _spread(
+    row: statistics.Estimate, values: Sequence[Mapping[str, float]], errors: Sequence[Mapping[str, float]]
+) -> float:
+    """RMS distance of other estimates of a parameter, less what their own errors explain."""
+    excess = [
+        max((value[row.key] - row.value) ** 2 - error[row.key] ** 2, 0.0)
+        for value, error in zip(values, errors, strict=True)
+        if np.isfinite(error[row.key])
+    ]
+    return float(np.sqrt(np.mean(excess))) if excess else 0.0
 
 
 def _without_the_open(

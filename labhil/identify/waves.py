@@ -15,7 +15,7 @@ import numpy as np
 from labhil.identify.fitted import Fitted
 from labhil.identify.problem import Point, Problem
 from labhil.identify.projection import Unexplained
-from labhil.identify.windows import converter_step
+from labhil.identify.quantiser import converter_step
 from labhil.physics.model import index_of, starts_of, terms_named
 from labhil.physics.terms import TWO_WAVES, Parameter, Term
 from labhil.signals import FloatArray

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from labhil.errors import RecordingError
+from labhil.identify.quantiser import converter_step, held_samples, uneven_step
 from labhil.physics.model import Metric, Model, Record, Windows, joined
 from labhil.signals import FloatArray, IntArray
 
@@ -18,9 +19,8 @@ FEWEST_SAMPLES = 20
 FEWEST_IN_WINDOW = 8
 """In a window that is fitted: its own state costs a few."""
 
-
-STRAY = 0.02
-"""Share of a converter's step by which what is rounded to it may stray: files round again."""
+FEWEST_MOVING = 32
+"""Groups of four samples that move, from which the noise is read there: its error is then under 15 %."""
 
 
 def fit_windows(record: Record, length: float) -> Windows:
@@ -116,20 +116,43 @@ def noise_of(record: Record) -> FloatArray:
 
     Third differences, divided where stamps are uneven, leave nothing of a motion that is smooth over four
     samples; their weights are of length one, so that white noise keeps its variance. A robust scale keeps
-    events out of it. A channel in steps (an ADC that
-    the noise does not dither) has at least the variance of rounding, step²/12. A controller that
+    events out of it. A channel in steps (an ADC that the noise does not dither) has at least the variance of
+    rounding, step²/12, also where its steps are uneven. Where a channel is held at one value for long (a part
+    at rest, the end of a range) its noise is that of all else; ``record.least_noise`` is what the whole
+    recording showed. A controller that
     answers noise with motion within four samples makes it look a little (under 15 %) too small.
     """
-    sigmas, third = [], _third_differences(record)
-    for column in record.outputs.T:
+    sigmas = []
+    rows, third = _third_differences(record)
+    for j, column in enumerate(record.outputs.T):
         left = third(column)
+        held = held_samples(column)
+        moving = ~held[rows].all(axis=1)
+        if held.any() and moving.sum() >= FEWEST_MOVING:
+            left = left[moving]
         spread = float(np.sqrt(np.mean(np.square(left[np.abs(left) <= 8.0 * _robust(left)]))))
-        sigmas.append(max(spread, converter_step(column) / np.sqrt(12.0), 1e-12))
+        step = converter_step(column) or uneven_step(column)
+        least = record.least_noise[j] if record.least_noise else 0.0
+        sigmas.append(max(spread, step / np.sqrt(12.0), least, 1e-12))
     return np.array(sigmas)
 
 
-def _third_differences(record: Record) -> Callable[[FloatArray], FloatArray]:
-    """What takes of a channel (N,) every quadratic over four samples of one recording, variances kept."""
+def with_least_noise(record: Record) -> Record:
+    """The record with the noise of its channels that are held for long, so that a part at rest knows it too.
+
+    Other channels state none: there every part shows its own.
+    """
+    rests = np.array([bool(held_samples(column).any()) for column in record.outputs.T])
+    if not rests.any() or len(record) < FEWEST_SAMPLES or not np.isfinite(record.outputs).all():
+        return record
+    return replace(record, least_noise=tuple(np.where(rests, noise_of(record), 0.0).tolist()))
+
+
+def _third_differences(record: Record) -> tuple[IntArray, Callable[[FloatArray], FloatArray]]:
+    """Groups of four neighbours (k, 4), and what takes of a channel (N,) every quadratic over each, (k,).
+
+    Variances are kept.
+    """
     first = np.concatenate([np.arange(a, b - 3) for a, b in record.spans])
     rows = first[:, None] + np.arange(4)
     t = record.t[rows]
@@ -137,7 +160,7 @@ def _third_differences(record: Record) -> Callable[[FloatArray], FloatArray]:
     t = np.where((np.diff(t, axis=1) > 0.0).all(axis=1, keepdims=True), t, np.arange(4.0))
     weights = 1.0 / np.prod(t[:, :, None] - t[:, None, :] + np.eye(4), axis=2)
     weights /= np.linalg.norm(weights, axis=1, keepdims=True)
-    return lambda column: np.asarray(np.sum(weights * column[rows], axis=1))
+    return rows, lambda column: np.asarray(np.sum(weights * column[rows], axis=1))
 
 
 def told_apart(model: Model, record: Record) -> Record:
@@ -160,25 +183,6 @@ def noise_at(record: Record, rows: IntArray, sigma: FloatArray) -> FloatArray:
         return sigma
     each = np.array([sigma * (begin.loudness or 1.0) for begin in record.begins])
     return np.asarray(each[np.searchsorted([b.row for b in record.begins], rows, side="right") - 1])
-
-
-def converter_step(x: FloatArray) -> float:
-    """The step whose multiples all readings (n,) are, or 0 when there is none.
-
-    Readings of a fast motion may all differ although they are rounded, so it is not their number that counts.
-    """
-    gaps = np.diff(np.unique(x))
-    rounding = 64.0 * np.finfo(np.float64).eps * float(np.abs(x).max(initial=0.0))
-    gaps = gaps[gaps > rounding]
-    if not len(gaps):
-        return 0.0
-    for parts in (1, 2, 3, 4):
-        step = float(gaps.min()) / parts
-        counts = np.rint(gaps / step)
-        step = float(gaps.sum() / counts.sum())
-        if np.all(np.abs(gaps - counts * step) < np.maximum(STRAY * step, rounding)):
-            return step
-    return 0.0
 
 
 def _robust(x: FloatArray) -> float:

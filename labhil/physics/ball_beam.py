@@ -12,7 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from labhil.physics import input_path, rolling
-from labhil.physics.driven import lagged
+from labhil.physics.driven import lagged, nodes_of
 from labhil.physics.extra_force import ExtraForce, MovedPart
 from labhil.physics.friction_terms import friction_terms
 from labhil.physics.guesses import straight_starts
@@ -284,7 +284,7 @@ class BallBeamModel:
 
     def _effective_input(self, theta: FloatArray, record: Record) -> input_path.Nodes:
         """Nodes of the angle behind backlash, dead zone, saturation, rate limit, lag and delay."""
-        t, u = record.t, np.ascontiguousarray(record.inputs[:, 0])
+        t, u = nodes_of(record, 0)
         gap = self._value(theta, "backlash.gap")
         left, right = self._value(theta, "dead_zone.left"), self._value(theta, "dead_zone.right")
         inverse_limit = self._value(theta, "saturation.inverse_limit")

@@ -49,9 +49,7 @@ class DrivenPath:
 
 def effective(record: Record, column: int, value: Value) -> input_path.Nodes:
     """The way in, walked once through the whole record."""
-    t, u = record.t, np.ascontiguousarray(record.inputs[:, column])
-    if record.input_holds[column] is Hold.ZERO:
-        t, u = np.repeat(t, 2)[1:], np.repeat(u, 2)[:-1]
+    t, u = nodes_of(record, column)
     gap, left, right = value("backlash.gap"), value("dead_zone.left"), value("dead_zone.right")
     inverse_limit, inverse_rate = value("saturation.inverse_limit"), value("rate_limit.inverse_rate")
     time_constant = value("actuator_lag.time_constant")
@@ -62,6 +60,14 @@ def effective(record: Record, column: int, value: Value) -> input_path.Nodes:
     if time_constant:
         t, u = input_path.lag_in_lines(t, u, time_constant, LAG_PARTS)
     return t + value("time_delay.delay"), u
+
+
+def nodes_of(record: Record, column: int) -> input_path.Nodes:
+    """Input ``column`` as it was recorded, at nodes; one that is held jumps at a node that is there twice."""
+    t, u = record.t, np.ascontiguousarray(record.inputs[:, column])
+    if record.input_holds[column] is Hold.ZERO:
+        return np.repeat(t, 2)[1:], np.repeat(u, 2)[:-1]
+    return t, u
 
 
 def lagged(record: Record, windows: Windows, values: FloatArray, time_constant: float) -> FloatArray:

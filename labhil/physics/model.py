@@ -11,6 +11,7 @@ import numpy as np
 
 from labhil.errors import RecordingError, UnknownNameError, UsageError
 from labhil.physics.terms import Parameter, Term, Yardstick
+from labhil.recording.clock_faults import ClockFault
 from labhil.signals import FloatArray, Hold, IntArray
 
 BORDER = 20.0
@@ -28,13 +29,15 @@ class Begin:
     """Where one of the recordings of a record begins.
 
     Its first sample is ``row``; its ``number`` counts from 1; its own time is the record's less ``shift`` s.
-    ``loudness`` (channels,) is the noise of its outputs over that of the record, where it was looked at.
+    ``loudness`` (channels,) is the noise of its outputs over that of the record, where it was looked at;
+    ``clock_faults`` are what is wrong with the stamps of its samples.
     """
 
     row: int = 0
     number: int = 1
     shift: float = 0.0
     loudness: tuple[float, ...] = ()
+    clock_faults: tuple[ClockFault, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +48,10 @@ class Record:
     ``input_holds`` (inputs,) what each input does between samples; ``auxiliary`` holds other channels of
     the rig, each (n,), by column name; ``output_joints`` (channels,) the joint of each output, where it
     has one. ``begins`` tells where each recording begins: nothing may be followed from one to the next.
+    ``least_noise`` (channels,) is the least standard deviation of the noise that the whole recording shows: a
+    part of it that rests shows none; empty where nothing is known. ``censored`` (n, channels) is +1 where a
+    reading stands at the upper end of its range and says only "at least this", −1 at the lower end, else 0;
+    None where all are readings.
     """
 
     t: FloatArray
@@ -57,6 +64,8 @@ class Record:
     auxiliary: Mapping[str, FloatArray] = field(default_factory=dict)
     output_joints: tuple[int | None, ...] = ()
     begins: tuple[Begin, ...] = (Begin(),)
+    least_noise: tuple[float, ...] = ()
+    censored: IntArray | None = None
 
     def __len__(self) -> int:
         return len(self.t)
@@ -112,6 +121,11 @@ class Record:
         """Correlation of the measurement noise in rows 0 to 3 apart, as far as it was filtered."""
         return WHITE
 
+    def with_holds(self, holds: Mapping[str, Hold]) -> Record:
+        """The same with what some inputs do between samples, by column name."""
+        found = tuple(holds.get(n, h) for n, h in zip(self.input_names, self.input_holds, strict=False))
+        return self if found == self.input_holds else replace(self, input_holds=found)
+
     def channel(self, j: int) -> tuple[str, int | None]:
         """Signal and joint of output column ``j``."""
         joint = self.output_joints[j] if self.output_joints else None
@@ -128,6 +142,7 @@ class Record:
             outputs=self.outputs[first:last],
             auxiliary={name: values[first:last] for name, values in self.auxiliary.items()},
             begins=tuple(replace(begin, row=max(begin.row - first, 0)) for begin in here) or (Begin(),),
+            censored=None if self.censored is None else self.censored[first:last],
         )
 
     def within(self, first: int, last: int) -> list[int]:
@@ -140,7 +155,7 @@ class Record:
         begins, row, end = list[Begin](), 0, float(self.t[0])
         for number, record in enumerate(every, 1):
             shift = end - float(record.t[0]) if row else 0.0
-            begins.append(Begin(row, number, shift))
+            begins.append(Begin(row, number, shift, clock_faults=record.begins[0].clock_faults))
             row, end = row + len(record), float(record.t[-1]) + shift + BORDER * self.period
         return replace(
             self,
@@ -151,7 +166,27 @@ class Record:
                 name: np.concatenate([record.auxiliary[name] for record in every]) for name in self.auxiliary
             },
             begins=tuple(begins),
+            least_noise=_common_floor(every),
+            censored=_censored_of(every),
         )
+
+
+def _common_floor(records: Sequence[Record]) -> tuple[float, ...]:
+    """The least noise that every one of them has at least; none where one does not state it."""
+    if not all(record.least_noise for record in records):
+        return ()
+    return tuple(np.min([record.least_noise for record in records], axis=0).tolist())
+
+
+def _censored_of(records: Sequence[Record]) -> IntArray | None:
+    if all(record.censored is None for record in records):
+        return None
+    return np.concatenate(
+        [
+            np.zeros(record.outputs.shape, dtype=np.int64) if record.censored is None else record.censored
+            for record in records
+        ]
+    )
 
 
 def joined(records: Sequence[Record], names: Sequence[str] = ()) -> Record:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from importlib.metadata import entry_points
 
@@ -11,11 +11,11 @@ import numpy as np
 
 from labhil.errors import RecordingError, UnknownNameError, UsageError
 from labhil.kinds import RigKind
-from labhil.physics.model import Metric, Model, Record, Windows, index_of, start_values, starts_of
-from labhil.physics.several import several
-from labhil.recording.reader import Recording, StreamData
+from labhil.physics.facts import Fact
+from labhil.physics.model import Begin, Metric, Model, Record, Windows, index_of, start_values, starts_of
+from labhil.recording.reader import Recording
 from labhil.rig import RigFile, default_rig
-from labhil.signals import Signal
+from labhil.signals import FloatArray, Stream
 from labhil.terminal import printable_name
 
 ALL_SPEEDS = ("stribeck_friction", "quadratic_viscous_friction", "cubic_viscous_friction")
@@ -27,12 +27,22 @@ class RigModel:
 
     ``model`` names its class as "module:class", imported when needed. ``baseline`` are the terms that a
     model holds when nobody says otherwise and something is to be found missing, ``general`` those when
-    it is to be fitted and nobody says otherwise (the reference text's general models).
+    it is to be fitted and nobody says otherwise (the reference text's general models). ``facts`` names the
+    function that states what physics knows of a recording of such a rig (see ``physics.facts``), "" for none.
     """
 
     model: str
     baseline: tuple[str, ...]
     general: tuple[str, ...]
+    facts: str = ""
+
+    def facts_of(self, record: Record, known: Mapping[str, float]) -> list[Fact]:
+        """What is known of a record, given the numbers of ``[known]``; nothing is compiled for it."""
+        if not self.facts:
+            return []
+        module, _, name = self.facts.partition(":")
+        found: list[Fact] = getattr(import_module(module), name)(record, known)
+        return found
 
     def load(self) -> Callable[[RigFile, Record | None], Model]:
         """The class: rig file and the record that sizes are taken from (None: typical sizes) to a model."""
@@ -48,14 +58,31 @@ MODELS: Mapping[str, RigModel] = {
         "labhil.physics.ball_beam:BallBeamModel",
         VISCOUS,
         (*DRY, *ALL_SPEEDS, "dead_zone", "time_delay"),
+        "labhil.physics.ball_beam_facts:facts",
     ),
-    "dc_motor": RigModel("labhil.physics.dc_motor:DcMotorModel", VISCOUS, (*DRY, *ALL_SPEEDS)),
-    "solenoid": RigModel("labhil.physics.solenoid:SolenoidModel", VISCOUS, (*DRY, "stribeck_friction")),
+    "dc_motor": RigModel(
+        "labhil.physics.dc_motor:DcMotorModel",
+        VISCOUS,
+        (*DRY, *ALL_SPEEDS),
+        "labhil.physics.dc_motor_facts:facts",
+    ),
+    "solenoid": RigModel(
+        "labhil.physics.solenoid:SolenoidModel",
+        VISCOUS,
+        (*DRY, "stribeck_friction"),
+        "labhil.physics.solenoid_facts:facts",
+    ),
     "axis": RigModel(
-        "labhil.physics.axis:AxisModel", (*DRY, "constant_force"), (*DRY, "constant_force", *ALL_SPEEDS)
+        "labhil.physics.axis:AxisModel",
+        (*DRY, "constant_force"),
+        (*DRY, "constant_force", *ALL_SPEEDS),
+        "labhil.physics.axis_facts:facts",
     ),
     "ur5": RigModel(
-        "labhil.physics.arm:ArmModel", (*DRY, "sensor_offset"), (*DRY, "sensor_offset", *ALL_SPEEDS)
+        "labhil.physics.arm:ArmModel",
+        (*DRY, "sensor_offset"),
+        (*DRY, "sensor_offset", *ALL_SPEEDS),
+        "labhil.physics.arm_facts:facts",
     ),
 }
 
@@ -83,7 +110,11 @@ def model_for(rig: RigFile, record: Record | None = None, per_recording: Sequenc
     """
     model = rig_model(rig.kind.name).load()(rig, record)
     count = 1 if record is None else len(record.begins)
-    return several(model, per_recording, count) if count > 1 else model
+    if count == 1:
+        return model
+    from labhil.physics.several import several
+
+    return several(model, per_recording, count)
 
 
 def by_inverse_dynamics(model: Model) -> Model:
@@ -136,22 +167,48 @@ def record_of(recording: Recording, kind: RigKind) -> Record:
             f"{', '.join(map(printable_name, devices))}; choose one with --device"
         )
     for stream in recording.streams:
-        names = set(stream.stream.names())
-        driven_by = next((inputs for inputs in kind.driven_by if names >= set(inputs)), None)
-        outputs = [signal for signal in kind.outputs if signal.name in names]
-        if driven_by is None or not outputs or (len(outputs) < len(kind.outputs) and not kind.any_output):
+        record = record_of_samples(stream.stream, stream.t, stream.values, kind)
+        if record is None:
             continue
         if not len(stream):
             raise RecordingError(
                 f"{recording.path}: expected samples in {stream.device}/{stream.stream.name}, found 0"
             )
-        inputs = [signal for signal in kind.inputs if signal.name in driven_by]
-        inputs += [signal for signal in kind.optional if signal.name in names]
-        others = [signal for signal in kind.auxiliary if signal.name in names]
-        record = _record(stream, inputs, outputs, others)
         _refuse_extreme(recording, record)
-        return record
-    raise RecordingError(f"{recording.path}: {_needed(kind)}; found {_found(recording)}")
+        return replace(record, begins=(Begin(clock_faults=stream.clock_faults),))
+    raise RecordingError(f"{recording.path}: {_needed(kind)}; found {recording.described()}")
+
+
+def record_of_samples(stream: Stream, t: FloatArray, values: FloatArray, kind: RigKind) -> Record | None:
+    """Take the signals of a rig out of samples (n, columns) at times (n,) s; None where some are missing."""
+    names = set(stream.names())
+    driven_by = next((inputs for inputs in kind.driven_by if names >= set(inputs)), None)
+    outputs = [signal for signal in kind.outputs if signal.name in names]
+    if driven_by is None or not outputs or (len(outputs) < len(kind.outputs) and not kind.any_output):
+        return None
+    holds = {signal.name: signal.hold for signal in stream.signals}
+    columns = {s.name: values[:, stream.columns_of(s.name)] for s in kind.signals() if s.name in names}
+    inputs = [signal for signal in kind.inputs if signal.name in driven_by]
+    inputs += [signal for signal in kind.optional if signal.name in names]
+    auxiliary = {
+        column: np.ascontiguousarray(x)
+        for signal in kind.auxiliary
+        if signal.name in names
+        for column, x in zip(signal.columns(), columns[signal.name].T, strict=True)
+    }
+    return Record(
+        t=np.ascontiguousarray(t),
+        inputs=np.hstack([columns[signal.name] for signal in inputs]),
+        outputs=np.hstack([columns[signal.name] for signal in outputs]),
+        input_names=tuple(column for signal in inputs for column in signal.columns()),
+        output_names=tuple(column for signal in outputs for column in signal.columns()),
+        output_units=tuple(signal.unit for signal in outputs for _ in signal.columns()),
+        output_joints=tuple(
+            joint if signal.width > 1 else None for signal in outputs for joint in range(signal.width)
+        ),
+        input_holds=tuple(holds[signal.name] for signal in inputs for _ in signal.columns()),
+        auxiliary=auxiliary,
+    )
 
 
 def _devices_of(recording: Recording, kind: RigKind) -> list[str]:
@@ -163,28 +220,6 @@ def _devices_of(recording: Recording, kind: RigKind) -> list[str]:
         and any(signal.name in data.stream.names() for signal in kind.outputs)
     ]
     return list(dict.fromkeys(matching))
-
-
-def _record(stream: StreamData, inputs: list[Signal], outputs: list[Signal], others: list[Signal]) -> Record:
-    holds = {signal.name: signal.hold for signal in stream.stream.signals}
-    auxiliary = {
-        column: np.ascontiguousarray(values)
-        for signal in others
-        for column, values in zip(signal.columns(), _columns(stream, signal).T, strict=True)
-    }
-    return Record(
-        t=np.ascontiguousarray(stream.t),
-        inputs=np.hstack([_columns(stream, signal) for signal in inputs]),
-        outputs=np.hstack([_columns(stream, signal) for signal in outputs]),
-        input_names=tuple(column for signal in inputs for column in signal.columns()),
-        output_names=tuple(column for signal in outputs for column in signal.columns()),
-        output_units=tuple(signal.unit for signal in outputs for _ in signal.columns()),
-        output_joints=tuple(
-            joint if signal.width > 1 else None for signal in outputs for joint in range(signal.width)
-        ),
-        input_holds=tuple(holds[signal.name] for signal in inputs for _ in signal.columns()),
-        auxiliary=auxiliary,
-    )
 
 
 def _refuse_extreme(recording: Recording, record: Record) -> None:
@@ -206,19 +241,7 @@ def _refuse_extreme(recording: Recording, record: Record) -> None:
             )
 
 
-def _columns(stream: StreamData, signal: Signal) -> np.ndarray:
-    return np.asarray(stream[signal.name]).reshape(len(stream), signal.width)
-
-
 def _needed(kind: RigKind) -> str:
     inputs = " or ".join(" with ".join(names) for names in kind.driven_by)
     outputs = (" or " if kind.any_output else " and ").join(signal.name for signal in kind.outputs)
     return f"a {kind.name} needs {outputs} and {inputs} in one stream"
-
-
-def _found(recording: Recording) -> str:
-    streams = [
-        f"{printable_name(s.device)}/{printable_name(s.stream.name)}: {', '.join(s.stream.names())}"
-        for s in recording.streams
-    ]
-    return "; ".join(streams) or recording.no_streams()

@@ -2,8 +2,8 @@
 
 Equations 4.10 and 4.11 of the reference text, F a third-order polynomial in current and position as there.
 The text gives no coefficients: the default map is ours (0 N without current, about 70 N at 2.7 A), and
-[known] force_map replaces it by a table, to which the polynomial is fitted. Eddy currents and hysteresis
-act between the current and the force.
+[known] force_map replaces it by a table, which is used as given (``physics.force_map``). Eddy currents and
+hysteresis act between the current and the force.
 
 The current that drives it is the measured one. What an amplifier or its loop does to a command (lag, play,
 dead zone, limits) has happened before, and no recording of current and position can tell of it: behind a
@@ -14,14 +14,14 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 
-from labhil.errors import RigFileError
-from labhil.physics import input_path, sliding
+from labhil.physics import input_path, mapped, sliding
 from labhil.physics.driven import DrivenPath
 from labhil.physics.extra_force import ExtraForce, MovedPart
+from labhil.physics.force_map import read_force_map
 from labhil.physics.friction_terms import friction_terms, load_dependent_friction
 from labhil.physics.guesses import straight_starts
 from labhil.physics.model import Metric, Record, Windows
@@ -35,7 +35,6 @@ STROKE = 5e-3
 FORCE_MAP = {(1, 0): 8.0, (1, 1): 2.0, (1, 2): -3.0, (2, 0): 12.0, (2, 1): 1.5, (3, 0): -2.0}
 """Force in N: the factor of i^a·(x/5 mm)^b for each (a, b), i in A."""
 
-COLUMNS = ("coil_current", "plunger_position", "magnetic_force")
 PERIODS = 5.0
 DAMPING_TIMES = 3.0
 
@@ -56,29 +55,9 @@ def default_map() -> FloatArray:
     return table
 
 
-def fitted_map(path: Path) -> FloatArray:
-    """Third-order polynomial through a table of coil_current, plunger_position, magnetic_force (CSV).
-
-    Without current there is no force. RigFileError when the table cannot be read, or holds fewer points
-    than the polynomial has coefficients.
-    """
-    try:
-        header = path.read_text(encoding="utf-8").splitlines()[0].split(",")
-        places = [[name.strip() for name in header].index(name) for name in COLUMNS]
-        i, x, force = np.loadtxt(path, delimiter=",", skiprows=1, usecols=places, ndmin=2).T
-    except (OSError, ValueError, IndexError) as error:
-        wanted = ", ".join(COLUMNS)
-        raise RigFileError(f"{path}: expected a table with the columns {wanted}: {error}") from error
-    powers = [(a, b) for a in range(1, 4) for b in range(4 - a)]
-    if len(force) < len(powers) or not np.all(np.isfinite([i, x, force])):
-        raise RigFileError(f"{path}: expected {len(powers)} finite rows or more, found {len(force)}")
-    span = float(np.abs(x).max()) or 1.0
-    design = np.column_stack([i**a * (x / span) ** b for a, b in powers])
-    factors, *_ = np.linalg.lstsq(design, force, rcond=None)
-    table = np.zeros((sliding.POWERS, sliding.POWERS))
-    for (a, b), factor in zip(powers, factors, strict=True):
-        table[a, b] = factor / span**b
-    return table
+def periods_of(stiffness: float, mass: float) -> float:
+    """How long PERIODS swings of a mass on a spring take, s; 0 without a spring, on which nothing swings."""
+    return PERIODS * 2.0 * float(np.pi * np.sqrt(mass / stiffness)) if stiffness > 0.0 else 0.0
 
 
 def catalogue(level: float, speed: float) -> dict[str, Term]:
@@ -177,9 +156,12 @@ class SolenoidModel:
         self.low = known.pop("stop_low", min(0.0, float(np.quantile(x, 0.001))))
         self.high = known.pop("stop_high", max(STROKE, float(x.max())))
         self.fixed = known
-        path = rig.known_path("force_map")
-        self.map = default_map() if path is None else fitted_map(path)
-        self.force = sliding.drive(self._strongest(record), 0.5 * (self.low + self.high), self.map)
+        table = rig.known_file("force_map")
+        self.map = default_map()
+        self.table = None if table is None else read_force_map(table)
+        self.notes = self._notes(record)
+        laws, magnet = self._magnet(1.0)
+        self.force = laws.drive(self._strongest(record), 0.5 * (self.low + self.high), magnet)
         self.speed = self._speed(record)
         self.terms: Mapping[str, Term] = catalogue(0.05 * abs(self.force), self.speed)
         own = {"moving_mass": ("kg", TYPICAL_MASS), "spring_stiffness": ("N/m", self._stiffness())}
@@ -191,8 +173,7 @@ class SolenoidModel:
         self.state_scale = np.array([0.02 * (self.high - self.low), 0.2 * self.speed])
         self._values = Values(self.fixed, self.parameters)
         self._stated = rig.metric.horizon
-        natural = np.sqrt(self.fixed.get("spring_stiffness", TYPICAL_STIFFNESS) / TYPICAL_MASS)
-        typical = max(PERIODS * 2.0 * np.pi / float(natural), 0.1)
+        typical = max(periods_of(self.fixed.get("spring_stiffness", TYPICAL_STIFFNESS), TYPICAL_MASS), 0.1)
         self.horizon = horizon_of(self._stated, typical, record)
         self._path = DrivenPath()
 
@@ -201,6 +182,18 @@ class SolenoidModel:
         other = copy.copy(self)
         other._extra = force
         return other
+
+    def _magnet(self, mass: float) -> tuple[ModuleType, FloatArray | mapped.Chart]:
+        """The kernels for the force, and the force over the moving mass as they take it."""
+        if self.table is None:
+            return sliding, self.map / mass
+        return mapped, self.table.over(mass)
+
+    def _notes(self, record: Record | None) -> list[str]:
+        """What a person has to know of the force map, where one is given."""
+        if self.table is None or record is None:
+            return []
+        return self.table.notes(record.inputs[:, 0], record.outputs[:, 0])
 
     @staticmethod
     def _strongest(record: Record | None) -> float:
@@ -221,13 +214,17 @@ class SolenoidModel:
         return max(abs(self.force) / (0.5 * (self.high - self.low)) * 0.25, 1.0)
 
     def horizon_at(self, theta: FloatArray) -> float:
-        """The larger of 3/(ζω) and 5 periods of mass and spring, s."""
+        """The larger of 3/(ζω) and 5 periods of mass and spring, s.
+
+        ζω = c/2m holds without a spring too, where nothing swings; with neither spring nor damping the
+        typical horizon stands.
+        """
         if self._stated:
             return self._stated
         mass, k = self._values.of(theta, "moving_mass"), self._values.of(theta, "spring_stiffness")
         damping = 0.5 * self._values.of(theta, "viscous_friction.coefficient") / mass
-        periods = PERIODS * 2.0 * np.pi / np.sqrt(k / mass)
-        return near(max(periods, DAMPING_TIMES / damping if damping > 0.0 else 0.0), self.horizon)
+        longest = max(periods_of(k, mass), DAMPING_TIMES / damping if damping > 0.0 else 0.0)
+        return near(longest or self.horizon, self.horizon)
 
     def prepare(self, record: Record) -> Record:
         """The record itself."""
@@ -268,7 +265,8 @@ class SolenoidModel:
         x, v, i = (coordinates[n] for n in ("plunger_position", "plunger_velocity", "field_current"))
         mass = self._values.of(theta, "moving_mass")
         part, law = self._part(theta), self._values.friction_law(theta, mass)
-        return np.asarray(sliding.accelerations(i, x, v, self.map / mass, part, law) * mass)
+        laws, magnet = self._magnet(mass)
+        return np.asarray(laws.accelerations(i, x, v, magnet, part, law) * mass)
 
     def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
         """What starts are fractions of, from this recording."""
@@ -314,12 +312,13 @@ class SolenoidModel:
         nodes, current = self._field(theta, record)
         mass = self._values.of(theta, "moving_mass")
         out = np.empty((len(windows.rows), 3))
+        laws, magnet = self._magnet(mass)
         given = (
-            record.t, nodes, current, windows.first, windows.last, states, self.map / mass,
+            record.t, nodes, current, windows.first, windows.last, states, magnet,
             self._part(theta), self._values.friction_law(theta, mass), np.ones(len(record)),
         )  # fmt: skip
         if self._extra is None:
-            sliding.simulate(*given, out)
+            laws.simulate(*given, out)
         else:
-            sliding.simulate_pushed(*given, *self._extra.over(mass, record), out)
+            laws.simulate_pushed(*given, *self._extra.over(mass, record), out)
         return out[:, :2]

@@ -85,7 +85,7 @@ SOLENOID = World(
     },
     positive=POSITIVE
     | {
-        "moving_mass", "spring_stiffness", "coil_resistance", "coil_inductance", "heat_capacity",
+        "moving_mass", "coil_resistance", "coil_inductance", "heat_capacity",
         "heat_resistance", "hidden_latch.width", "hidden_sticky_patch.width",
     },
     hidden={

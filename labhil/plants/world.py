@@ -12,6 +12,7 @@ from labhil.plants.effects import Effect, check_carriers
 NOT_NEGATIVE = (
     "_noise", "_resolution", "stamp_jitter", "stamp_error", "warming", "cooling", ".delay", ".gap", ".left",
     ".right", ".damping", ".time_constant", ".compliance", "quantisation.step", "magnetic_hysteresis.width",
+    "spring_stiffness",
 )  # fmt: skip
 """Endings of the names of sizes that may be zero and never less."""
 

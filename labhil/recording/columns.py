@@ -103,7 +103,12 @@ def _read_bag_file(path: Path, data: bytes, table: Table, wanted: Sequence[str])
     if any("labhil.stream" in channel.metadata for channel in channels):
         raise TableError(f"{path}: expected a table, found an MCAP recording of ours, which needs no import")
     topics = ", ".join(
-        printable_name(f"{channel.topic} ({channel.message_encoding})") for channel in channels
+        printable_name(f"{one.topic} ({one.message_encoding or 'no encoding'})") for one in channels
     )
     found = f"of another program with {topics}" if topics else "without channels"
-    raise TableError(f"{path}: expected one of {READ}, found an MCAP file {found}")
+    cdr = any(one.message_encoding == "cdr" for one in channels)
+    hint = "; `ros2 bag convert` writes one whose profile is ros2" if cdr else ""
+    raise TableError(
+        f"{path}: expected one of {READ} (of MCAP files those with the profile ros2 and CDR messages), "
+        f"found an MCAP file {found}{hint}"
+    )

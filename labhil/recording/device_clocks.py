@@ -17,7 +17,8 @@ from math import hypot, isfinite
 import numpy as np
 
 from labhil.documents import parse_json
-from labhil.recording.clock import fit_clock
+from labhil.recording.clock import ClockFit, fit_clock
+from labhil.recording.stamps import Stamps
 from labhil.signals import IntArray
 
 CLOCKS = "clocks"
@@ -25,7 +26,7 @@ OFFSETS = "clock_offsets"
 """Names of the metadata that hold them: one entry a device, and one a pair; JSON each."""
 
 LARGEST = 16384
-"""As many stamps are kept; when there are more, every other one is let go of."""
+"""As many stamps are looked at; of more, those that came in with the least delay."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,8 +35,9 @@ class DeviceClock:
 
     ``drift`` is its relative error (50e-6: 50 ppm fast), ``speed`` how many seconds of its world pass in one
     of the host. ``offset_error`` (s) and ``drift_error`` are standard errors, at that moment; ``jitter`` (s)
-    is the robust standard deviation of the host's stamps. Of ``samples`` looked at, ``outliers`` were thrown
-    out.
+    is the robust standard deviation of the stamps' delays. Of ``samples`` looked at, ``outliers`` came far
+    later than usual. ``stepped`` (s of the host) is by how much the stamps jump in all, either way: 0 for a
+    sound map.
     """
 
     t_host_ns: int
@@ -47,6 +49,7 @@ class DeviceClock:
     jitter: float
     samples: int
     outliers: int
+    stepped: float = 0.0
 
     def device_ns(self, t_host_ns: int) -> int:
         """Return what the device's clock shows at Unix time ``t_host_ns``."""
@@ -54,8 +57,12 @@ class DeviceClock:
         return self.t_device_ns + round(elapsed) + round(elapsed * self.drift)
 
     def error_at(self, t_host_ns: int) -> float:
-        """Return the standard error of that, s of the device's world; it grows away from the middle."""
-        return hypot(self.offset_error, (t_host_ns - self.t_host_ns) * 1e-9 * self.speed * self.drift_error)
+        """Return the standard error of that, s of the device's world; it grows away from the middle.
+
+        Where the stamps jump, it is not known on which side the host's clock was right: all of it counts.
+        """
+        away = (t_host_ns - self.t_host_ns) * 1e-9 * self.speed * self.drift_error
+        return hypot(self.offset_error, away, self.stepped * self.speed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,44 +80,67 @@ class ClockWatch:
     def __init__(self) -> None:
         self._kept: list[IntArray] = []
         self._count = 0
-        self._every = 1
-        self._seen = 0
+        self._next = 0
 
-    def add(self, t_acq_ns: IntArray, t_hw_ns: IntArray) -> None:
-        """Take in stamps, oldest first, both (n,)."""
-        first = -self._seen % self._every
-        self._seen += len(t_acq_ns)
-        stamps = np.column_stack([t_acq_ns, t_hw_ns])[first :: self._every]
-        self._kept.append(stamps)
-        self._count += len(stamps)
-        while self._count > LARGEST:
-            thinned = np.concatenate(self._kept)[::2]
+    def add(self, t_acq_ns: IntArray, t_hw_ns: IntArray, seq: IntArray | None = None) -> None:
+        """Take in stamps, oldest first, all (n,); without ``seq`` no sample is missing between them."""
+        if seq is None:
+            seq = np.arange(len(t_acq_ns), dtype=np.int64) + self._next
+        if not len(seq):
+            return
+        self._next = int(seq[-1]) + 1
+        self._kept.append(np.column_stack([t_acq_ns, t_hw_ns, seq]))
+        self._count += len(seq)
+        while self._count > LARGEST * 2:
+            thinned = _least_delayed(np.concatenate(self._kept))
             self._kept, self._count = [thinned], len(thinned)
-            self._every *= 2
+
+    def stamps(self, rate: float, speed: float = 1.0, *, steady_host: bool = False) -> Stamps:
+        """Return what was kept; ``rate`` (Hz) is the declared one."""
+        kept = np.concatenate([np.empty((0, 3), dtype=np.int64), *self._kept])
+        while len(kept) > LARGEST:
+            kept = _least_delayed(kept)
+        return Stamps(kept[:, 2], kept[:, 1], kept[:, 0], rate, speed, steady_host)
 
     def clock(self, speed: float = 1.0) -> DeviceClock | None:
         """Return the clock, or None where the stamps do not tell one."""
-        if self._count < 3:
-            return None
-        stamps = np.concatenate(self._kept)
-        origin = int(stamps[0, 0])
-        fit = fit_clock(stamps[:, 1], stamps[:, 0], origin, speed)
-        if not fit.device_clock or fit.offset_error is None or fit.drift_error is None:
-            return None
-        middle = len(stamps) // 2
-        t_host_ns = origin + round(float(fit.t[middle]) / speed * 1e9)
-        t_device_ns = int(stamps[middle, 1])
-        return DeviceClock(
-            t_host_ns,
-            t_device_ns,
-            speed,
-            fit.drift,
-            fit.drift_error,
-            fit.offset_error,
-            fit.jitter,
-            len(stamps),
-            fit.outliers,
+        return device_clock(self.stamps(1.0, speed))
+
+
+def _least_delayed(stamps: IntArray) -> IntArray:
+    """Of each two stamps that follow one another, the one that came sooner: that one tells of the clocks."""
+    pairs = stamps[: len(stamps) // 2 * 2].reshape(-1, 2, stamps.shape[1])
+    delay = pairs[:, :, 0] - pairs[:, :, 1]
+    best = pairs[np.arange(len(pairs)), np.argmin(delay, axis=1)]
+    return np.concatenate([best, stamps[len(pairs) * 2 :]])
+
+
+def device_clock(stamps: Stamps, fit: ClockFit | None = None) -> DeviceClock | None:
+    """Return a device's clock as its stamps tell it, None where they do not; ``fit`` if it is there
+    already."""
+    if len(stamps.seq) < 3:
+        return None
+    if fit is None:
+        fit = fit_clock(
+            stamps.t_hw_ns, stamps.t_acq_ns, int(stamps.t_acq_ns[0]), stamps.speed, steady=stamps.keep_rate
         )
+    if not fit.device_clock or fit.offset_error is None or fit.drift_error is None or fit.map is None:
+        return None
+    x = fit.map.elapsed(stamps.t_hw_ns)
+    middle = int(np.argmin(np.abs(x - fit.map.middle)))
+    host = float(fit.map.host(x[middle : middle + 1])[0])
+    return DeviceClock(
+        t_host_ns=fit.map.origin_ns + round(host * 1e9),
+        t_device_ns=int(stamps.t_hw_ns[middle]),
+        speed=stamps.speed,
+        drift=fit.drift,
+        drift_error=fit.drift_error,
+        offset_error=fit.offset_error,
+        jitter=fit.jitter,
+        samples=len(stamps.seq),
+        outliers=fit.outliers,
+        stepped=float(sum(abs(step.size) for step in fit.steps)),
+    )
 
 
 def offsets_between(clocks: Mapping[str, DeviceClock]) -> dict[tuple[str, str], ClockOffset]:

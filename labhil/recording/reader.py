@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,20 +14,22 @@ from mcap.records import Channel
 from labhil.bounds import ImplausibleError
 from labhil.codec import Codec, stream_from_json
 from labhil.documents import parse_json
-from labhil.errors import ProtocolError, RecordingError, RigFileError, suggestion
+from labhil.errors import ProtocolError, RecordingError, suggestion
 from labhil.recording.chunks import Contents, Messages, is_mcap, scan
-from labhil.recording.clock import ClockFit, fit_clock, keeps_its_rate
+from labhil.recording.clock import ClockFit, fit_clock
+from labhil.recording.clock_faults import ClockFault, clock_faults
 from labhil.recording.device_clocks import (
     ClockOffset,
     DeviceClock,
-    clocks_from_metadata,
+    device_clock,
     offsets_between,
 )
-from labhil.rig import RigFile, parse_rig
-from labhil.signals import Batch, FloatArray, IntArray, Stream
+from labhil.recording.rig_attachments import attached_rig
+from labhil.recording.runs import MixedRunsError, Run, choose_run, runs_of
+from labhil.recording.stamps import HOST_CLOCK, Stamps, in_time_of
+from labhil.rig import RigFile
+from labhil.signals import Batch, Direction, FloatArray, IntArray, Stream
 from labhil.terminal import printable_name
-
-RIG_ATTACHMENT = "rig.toml"
 
 LARGEST_SPEED = 1e6
 """Seconds of a device's world in one of the host, at most: no simulation is faster."""
@@ -42,8 +44,11 @@ class StreamData:
 
     ``seq``, ``t_acq_ns`` (host, Unix time) and ``t_hw_ns`` (the device's clock) are int64 of shape (n,);
     ``values`` has shape (n, stream.width), SI units; ``t`` (n,) is the time of analysis in seconds of the
-    device's world: its clock mapped onto the host's, 0 at the recording's first sample. ``lost`` counts
-    the holes in ``seq``; ``speed`` is how many seconds of that world passed in a second of the host.
+    device's world: the device's own clock at its own rate, for all streams of a device the same, set where
+    it begins so that it is 0 at the recording's first sample. What compares devices takes :attr:`t_common`.
+    ``lost`` counts the holes in ``seq``; ``speed`` is how many seconds of that world passed in a second of
+    the host. Exact ``copies`` of samples were dropped, ``moved`` ones stood behind later ones in the file.
+    ``clock_faults`` say what is wrong with the stamps.
     """
 
     device: str
@@ -57,9 +62,31 @@ class StreamData:
     speed: float
     metadata: Mapping[str, str]
     clock: ClockFit
+    copies: int = 0
+    moved: int = 0
+    clock_faults: tuple[ClockFault, ...] = ()
+    clock_start: float = 0.0
 
     def __len__(self) -> int:
         return len(self.seq)
+
+    @property
+    def stamps(self) -> Stamps:
+        """The stamps of the samples, with what is known of the clocks that made them."""
+        steady = HOST_CLOCK in self.metadata
+        return Stamps(self.seq, self.t_hw_ns, self.t_acq_ns, self.stream.rate, self.speed, steady)
+
+    @property
+    def t_common(self) -> FloatArray:
+        """Time that all devices of a recording share, (n,): s of the host since the recording's origin.
+
+        The device's clock mapped by its rate against the host's, without the jitter and the steps of the
+        host's stamps; these themselves where there is no such map.
+        """
+        found = self.clock.map
+        if found is None:
+            return self.t / self.speed
+        return found.steady_host(found.elapsed(self.t_hw_ns)) - self.clock_start
 
     def __getitem__(self, name: str) -> FloatArray:
         """Values of the signal ``name``: shape (n,), or (n, width) for a vector.
@@ -100,7 +127,8 @@ class Recording:
 
     ``complete`` is False when the file has no end (its recorder was killed) or a part of it is damaged;
     ``damage`` then says what is missing. ``rig`` is the rig file that was attached, if one was. ``foreign``
-    names the channels of other programs, with their encoding; their samples are not read.
+    names the channels of other programs, with their encoding; their samples are not read. Where the file
+    holds several ``runs`` of one stream, this is one of them.
     """
 
     path: Path
@@ -113,6 +141,7 @@ class Recording:
     complete: bool
     damage: str = ""
     foreign: tuple[str, ...] = ()
+    runs: int = 1
 
     def of_device(self, name: str | None) -> Recording:
         """Return what this recording holds of one device, with that device's rig file; all of it for None.
@@ -128,9 +157,8 @@ class Recording:
                 f"found: {', '.join(map(printable_name, devices)) or 'no device at all'}"
             )
         streams = tuple(data for data in self.streams if data.device == name)
-        own = self.attachments.get(f"rig.{name}.toml")
-        rig = self.rig if own is None else _parsed_rig(self.path, own)
-        return replace(self, streams=streams, rig=rig)
+        own = attached_rig(self.path, self.attachments, name)
+        return replace(self, streams=streams, rig=self.rig if own is None else own)
 
     def stream_with(self, *names: str) -> StreamData:
         """Return the stream that has all these signals; RecordingError says what is there otherwise."""
@@ -143,34 +171,54 @@ class Recording:
             raise RecordingError(f"{self.path}: expected one stream with {wanted}, found several: {where}")
         here = [name for data in self.streams for name in data.stream.names()]
         near = "".join(suggestion(name, here) for name in names if name not in here)
-        what = "; ".join(
-            f"{printable_name(f'/{data.device}/{data.stream.name}')}: {', '.join(data.stream.names())}"
-            for data in self.streams
-        )
-        raise RecordingError(
-            f"{self.path}: expected a stream with {wanted}{near}; found: {what or self.no_streams()}"
-        )
+        raise RecordingError(f"{self.path}: expected a stream with {wanted}{near}; found: {self.described()}")
 
     def no_streams(self) -> str:
-        """What is found where no stream of ours is, for messages."""
+        """What is found where no stream of ours is, and what was expected, for messages."""
+        expected = "a topic /<device>/<stream> as `labhil run` and `labhil import` write it"
         if not self.foreign:
-            return "no streams at all"
-        return f"no stream of labhil, but channels of another program: {', '.join(self.foreign)}"
+            return f"no streams at all; expected {expected}"
+        bag = any(name.endswith("(cdr)") for name in self.foreign)
+        hint = "; a ROS 2 bag becomes a recording with `labhil import`" if bag else ""
+        return (
+            f"no stream of labhil, but channels of another program: {', '.join(self.foreign)}; "
+            f"expected {expected}{hint}"
+        )
+
+    def described(self) -> str:
+        """Which streams there are with which signals, and which channels of other programs, for messages."""
+        if not self.streams:
+            return self.no_streams()
+        found = [
+            f"{_shown(data.device, data.stream)}: {', '.join(data.stream.names())}" for data in self.streams
+        ]
+        others = [f"of another program: {', '.join(self.foreign)}"] if self.foreign else []
+        return "; ".join(found + others)
 
     def losses(self) -> list[str]:
-        """What is not there that should be, a line each: the end of the file, damaged parts, lost samples."""
+        """What is not as it should be, a line each: no end, damaged parts, lost samples, faulty clocks."""
         lines = [f"{self.path}: read as far as it goes: {self.damage}"] if self.damage else []
-        return lines + [
-            f"{self.path}: {data.lost} samples of {printable_name(data.device)}/"
-            f"{printable_name(data.stream.name)} were lost"
-            for data in self.streams
-            if data.lost
-        ]
+        for data in self.streams:
+            name = _shown(data.device, data.stream)[1:]
+            counts = {
+                f"samples of {name} were lost": data.lost,
+                f"exact copies of samples of {name} were dropped": data.copies,
+                f"samples of {name} stood behind later ones, and were put in order": data.moved,
+            }
+            lines += [f"{self.path}: {count} {what}" for what, count in counts.items() if count]
+            lines += [f"{self.path}: {name}: {fault.statement}" for fault in data.clock_faults]
+        return lines
 
     @property
     def clocks(self) -> Mapping[str, DeviceClock]:
-        """How each device's clock ran against the host's, as written at the recording's end."""
-        return clocks_from_metadata(self.metadata)
+        """How each device's clock ran against the host's, from the stamps of its first stream."""
+        found: dict[str, DeviceClock] = {}
+        for data in self.streams:
+            if data.device not in found and _is_measured(data):
+                clock = device_clock(data.stamps, data.clock)
+                if clock is not None:
+                    found[data.device] = clock
+        return found
 
     @property
     def clock_offsets(self) -> Mapping[tuple[str, str], ClockOffset]:
@@ -183,29 +231,56 @@ class Recording:
         return max((float(data.t[-1]) for data in self.streams if len(data)), default=0.0)
 
 
-def read_recording(path: Path) -> Recording:
+def read_recordings(paths: Sequence[Path], run: int | None = None) -> list[Recording]:
+    """Read several recordings, of each the ``run`` as :func:`read_recording`; one run is taken as it is.
+
+    RecordingError when none of them holds that many.
+    """
+    found = [_read(path, run) for path in paths]
+    most = max((recording.runs for recording in found), default=1)
+    if run is not None and found and not 1 <= run <= most:
+        names = ", ".join(str(path) for path in paths)
+        many = "one run of each stream" if most == 1 else f"{most} runs of a stream"
+        raise RecordingError(f"--run {run}: expected a number from 1 to {most}, found {many} in {names}")
+    return found
+
+
+def read_recording(path: Path, run: int | None = None) -> Recording:
     """Read a recording; one without an end is read as far as it goes.
 
-    RecordingError when there is no such file, when it is no MCAP file, or when it is damaged beyond use.
+    Args:
+        path: The file.
+        run: Which one, from 1, of several runs of one stream in the file, as merged files have them.
+
+    Raises:
+        RecordingError: There is no such file, it is no MCAP file, or it is damaged beyond use; it holds
+            several runs and ``run`` chooses none of them.
     """
+    return read_recordings([path], run)[0]
+
+
+def _read(path: Path, run: int | None) -> Recording:
     data = _bytes_of(path)
     try:
         contents = scan(data)
     except ImplausibleError as error:
         raise RecordingError(f"{path}: {error}; `labhil recover` saves what is plausible of it") from error
-    streams = _streams(path, contents)
-    origin_ns = min((int(s.t_acq_ns[0]) for s in streams if len(s)), default=0)
+    topics = _topics(path, contents)
+    untimed, span = choose_run(path, topics, run)
+    origin_ns = min((int(s.t_acq_ns[0]) for s in untimed if len(s)), default=0)
+    streams = _timed(untimed, origin_ns)
     return Recording(
         path=path,
         sha256=hashlib.sha256(data).hexdigest(),
-        streams=_timed(streams, origin_ns),
-        rig=_rig(path, contents),
+        streams=streams,
+        rig=attached_rig(path, contents.attachments),
         attachments=contents.attachments,
         metadata=contents.metadata,
-        events=_events(contents, origin_ns, {data.device: data.speed for data in streams}),
+        events=tuple(event for event in _events(contents, origin_ns, streams) if event.t_ns in span),
         complete=not contents.damage,
         damage=contents.damage,
         foreign=_foreign(contents),
+        runs=max((len(topic) for topic in topics), default=1),
     )
 
 
@@ -234,9 +309,9 @@ def _bytes_of(path: Path) -> bytes:
     return data
 
 
-def _streams(path: Path, contents: Contents) -> list[StreamData]:
-    """Decode all streams of ours; their times of analysis are not known yet."""
-    streams = []
+def _topics(path: Path, contents: Contents) -> list[list[StreamData]]:
+    """Decode the runs of each topic of ours, by time; their times of analysis are not known yet."""
+    channels: dict[tuple[str, Stream], list[tuple[Mapping[str, str], Batch]]] = {}
     for channel in contents.channels.values():
         if "labhil.stream" not in channel.metadata:
             continue
@@ -244,28 +319,48 @@ def _streams(path: Path, contents: Contents) -> list[StreamData]:
             stream = stream_from_json(channel.metadata["labhil.stream"])
             batch = _decode(Codec(stream), contents.messages[channel.id])
             _check_stamps(batch)
-            speed = _speed(channel.metadata)
+            _speed(channel.metadata)
             device = _device(channel)
         except (ProtocolError, ValueError) as error:
             raise RecordingError(f"{path}: {printable_name(channel.topic)}: {error}") from error
-        untimed = ClockFit(np.zeros(len(batch)), 0.0, 0.0, 0, device_clock=False)
-        told = {key: value for key, value in channel.metadata.items() if not key.startswith("labhil.")}
-        streams.append(
-            StreamData(
-                device=device,
-                stream=stream,
-                seq=batch.seq,
-                t_acq_ns=batch.t_acq_ns,
-                t_hw_ns=batch.t_hw_ns,
-                values=batch.values,
-                t=untimed.t,
-                lost=holes(batch.seq),
-                speed=speed,
-                metadata=told,
-                clock=untimed,
-            )
+        channels.setdefault((device, stream), []).append((channel.metadata, batch))
+    topics: dict[tuple[str, str], list[StreamData]] = {}
+    for (device, stream), found in channels.items():
+        filled = [one for one in found if len(one[1])] or found[:1]
+        try:
+            runs = runs_of([batch for _, batch in filled])
+        except MixedRunsError as error:
+            raise RecordingError(f"{path}: {_shown(device, stream)}: {error}") from error
+        told = filled[0][0]
+        topics.setdefault((device, stream.name), []).extend(
+            _untimed(device, stream, told, run) for run in runs
         )
-    return streams
+    return list(topics.values())
+
+
+def _untimed(device: str, stream: Stream, metadata: Mapping[str, str], run: Run) -> StreamData:
+    batch = run.batch
+    untimed = ClockFit(np.zeros(len(batch)), 0.0, 0.0, 0, device_clock=False)
+    return StreamData(
+        device=device,
+        stream=stream,
+        seq=batch.seq,
+        t_acq_ns=batch.t_acq_ns,
+        t_hw_ns=batch.t_hw_ns,
+        values=batch.values,
+        t=untimed.t,
+        lost=holes(batch.seq),
+        speed=_speed(metadata),
+        metadata={key: value for key, value in metadata.items() if not key.startswith("labhil.")},
+        clock=untimed,
+        copies=run.copies,
+        moved=run.moved,
+    )
+
+
+def _shown(device: str, stream: Stream) -> str:
+    """The topic of a stream, for messages."""
+    return f"/{printable_name(device)}/{printable_name(stream.name)}"
 
 
 def _speed(metadata: Mapping[str, str]) -> float:
@@ -308,35 +403,49 @@ def holes(seq: IntArray) -> int:
 
 
 def _timed(streams: list[StreamData], origin_ns: int) -> tuple[StreamData, ...]:
-    """Give all streams one time, which is 0 at the first sample of them all."""
-    clocks = [
-        fit_clock(
-            data.t_hw_ns,
-            data.t_acq_ns,
-            origin_ns,
-            data.speed,
-            steady=keeps_its_rate(data.t_hw_ns, data.seq, data.stream.rate),
-        )
+    """Give all streams of a device its own time, which is 0 at the first sample of them all."""
+    clocks = {id(data): _fit(data, origin_ns) for data in streams}
+    mains = _mains(streams, clocks)
+    found = [
+        in_time_of(data.stamps, clocks[id(data)], mains.get(data.device), measured=_is_measured(data))
         for data in streams
     ]
-    pairs = list(zip(streams, clocks, strict=True))
+    pairs = list(zip(streams, found, strict=True))
     start = min((float(clock.t[0]) / data.speed for data, clock in pairs if len(data)), default=0.0)
-    return tuple(replace(data, t=clock.t - start * data.speed, clock=clock) for data, clock in pairs)
+    timed = []
+    for data, clock in pairs:
+        t = clock.t - start * data.speed
+        # a stream that borrows a device's clock borrows its faults, which are told once
+        own = len(data) and (mains.get(data.device) is None or clock is clocks[id(data)])
+        faults = clock_faults(data.stamps, clock, t) if own and _is_measured(data) else ()
+        timed.append(replace(data, t=t, clock=clock, clock_faults=faults, clock_start=start))
+    return tuple(timed)
 
 
-def _rig(path: Path, contents: Contents) -> RigFile | None:
-    text = contents.attachments.get(RIG_ATTACHMENT)
-    return None if text is None else _parsed_rig(path, text)
+def _fit(data: StreamData, origin_ns: int) -> ClockFit:
+    return fit_clock(data.t_hw_ns, data.t_acq_ns, origin_ns, data.speed, steady=data.stamps.keep_rate)
 
 
-def _parsed_rig(path: Path, text: bytes) -> RigFile:
-    try:
-        return parse_rig(text.decode("utf-8"), path.parent / RIG_ATTACHMENT)
-    except (UnicodeDecodeError, RigFileError) as error:
-        raise RecordingError(f"{path}: its attached rig file cannot be used: {error}") from error
+def _is_measured(data: StreamData) -> bool:
+    """Whether the device stamped the samples; what was asked of it is stamped by its host."""
+    return any(signal.direction is not Direction.REQUESTED for signal in data.stream.signals)
 
 
-def _events(contents: Contents, origin_ns: int, speeds: Mapping[str, float]) -> tuple[Event, ...]:
+def _mains(streams: list[StreamData], clocks: Mapping[int, ClockFit]) -> dict[str, ClockFit]:
+    """The clock of each device that has one: that of its longest stream."""
+    found: dict[str, ClockFit] = {}
+    for data in sorted(streams, key=len, reverse=True):
+        clock = clocks[id(data)]
+        if clock.device_clock and clock.map is not None and _is_measured(data):
+            found.setdefault(data.device, clock)
+    return found
+
+
+def _events(contents: Contents, origin_ns: int, streams: Sequence[StreamData]) -> tuple[Event, ...]:
+    """What happened, in the time of the device it happened to; of a run with one device, in that one's."""
+    devices = {data.device: data for data in streams if data.clock.map is not None and len(data)}
+    only = next(iter(devices.values())) if len({data.device for data in streams}) == 1 and devices else None
+    start = next((data.clock_start for data in streams), 0.0)
     events = []
     for channel in contents.channels.values():
         if channel.message_encoding != "json":
@@ -344,7 +453,13 @@ def _events(contents: Contents, origin_ns: int, speeds: Mapping[str, float]) -> 
         messages = contents.messages[channel.id]
         for t_ns, payload in zip(messages.log_times().tolist(), messages.payloads(), strict=True):
             device, _, topic = channel.topic.strip("/").partition("/")
-            t = (t_ns - origin_ns) * 1e-9 * speeds.get(device, 1.0)
+            host = (t_ns - origin_ns) * 1e-9
+            data = devices.get(device, only)
+            t = host - start
+            if data is not None and data.clock.map is not None:
+                found = data.clock.map
+                begin = float(found.steady_host(np.zeros(1))[0])
+                t = (found.device(host) + begin - start) * data.speed
             events.append(Event(device, topic, t_ns, t, _body(payload)))
     return tuple(sorted(events, key=lambda event: event.t_ns))
 

@@ -20,6 +20,7 @@ from mcap.writer import CompressionType, Writer
 from labhil import __version__
 from labhil.errors import RecordingError, RecordingFailedError
 from labhil.recording.chunks import is_mcap, scan
+from labhil.recording.reorder import Ordered, reorder
 from labhil.recording.salvage import Loss, Message, Salvage, salvage
 from labhil.recording.writer import CHUNK_SIZE
 from labhil.terminal import printable_name
@@ -63,7 +64,10 @@ class StreamRecovery:
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """What was saved and what was lost; ``nameless`` messages belong to channels nobody describes."""
+    """What was saved and what was lost; ``nameless`` messages belong to channels nobody describes.
+
+    Exact ``copies`` of messages were dropped, ``moved`` ones were put in order.
+    """
 
     source: Path
     sha256: str
@@ -77,6 +81,9 @@ class Recovery:
     nameless: int
     doubtful: int
     ended: bool
+    copies: int
+    moved: int
+    notes: tuple[str, ...]
     spliced: bool = False
 
     @property
@@ -116,6 +123,11 @@ class Recovery:
                 f"doubtful: {self.doubtful} messages come from chunks whose checksum is wrong; "
                 "their values may be wrong"
             )
+        if self.copies:
+            lines.append(f"mended: {self.copies} exact copies of messages were dropped")
+        if self.moved:
+            lines.append(f"mended: {self.moved} messages stood behind later ones, and were put in order")
+        lines += self.notes
         lines += [line for stream in self.streams for line in _stream_lines(stream)]
         if not self.losses and self.ended:
             lines.append("nothing was lost")
@@ -136,6 +148,9 @@ class Recovery:
             "messages_saved": self.saved,
             "messages_without_channel": self.nameless,
             "messages_doubtful": self.doubtful,
+            "messages_copied": self.copies,
+            "messages_moved": self.moved,
+            "notes": list(self.notes),
             "attachments": list(self.attachments),
             "metadata": list(self.metadata),
             "losses": [
@@ -183,8 +198,9 @@ def recover(source: Path, out: Path, *, keep_doubtful: bool = False) -> Recovery
             f"{source}: expected messages to save, found none that is whole in {len(data)} bytes; "
             "nothing was written"
         )
-    result = _account(source, data, out, found, known)
-    _write(found, known, result, out)
+    ordered = reorder(known, found.channels)
+    result = _account(source, data, out, found, ordered)
+    _write(found, ordered.messages, result, out)
     return result
 
 
@@ -198,7 +214,8 @@ def _bytes_of(source: Path) -> bytes:
     return data
 
 
-def _account(source: Path, data: bytes, out: Path, found: Salvage, known: Sequence[Message]) -> Recovery:
+def _account(source: Path, data: bytes, out: Path, found: Salvage, ordered: Ordered) -> Recovery:
+    known = ordered.messages
     by_channel: defaultdict[int, list[Message]] = defaultdict(list)
     for message in known:
         by_channel[message.channel].append(message)
@@ -219,7 +236,7 @@ def _account(source: Path, data: bytes, out: Path, found: Salvage, known: Sequen
             StreamRecovery(
                 topic=channel.topic,
                 saved=len(messages),
-                expected=told.get(number, 0) if told else None,
+                expected=told.get(number, 0) - ordered.copies.get(number, 0) if told else None,
                 indexed=indexed[number],
                 start=min(times, default=0.0),
                 end=max(times, default=0.0),
@@ -236,10 +253,13 @@ def _account(source: Path, data: bytes, out: Path, found: Salvage, known: Sequen
         attachments=tuple(attachment.name for attachment in found.attachments),
         metadata=tuple(metadata.name for metadata in found.metadata),
         losses=tuple(found.losses),
-        nameless=len(found.messages) - len(known),
+        nameless=sum(message.channel not in found.channels for message in found.messages),
         doubtful=found.doubtful,
         spliced=found.spliced,
         ended=found.ended,
+        copies=sum(ordered.copies.values()),
+        moved=ordered.moved,
+        notes=ordered.notes,
     )
 
 

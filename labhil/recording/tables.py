@@ -3,37 +3,37 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labhil.errors import DiskFailedError, RecordingFailedError, TableError, suggestion
+from labhil.recording.bad_rows import WHY, bad_rows, finite_rows
+from labhil.recording.channel_keys import held_as_stated, with_channel_keys
 from labhil.recording.columns import read_columns
-from labhil.recording.formats.columns import Columns
-from labhil.recording.reader import RIG_ATTACHMENT
-from labhil.recording.timeline import longest_run
-from labhil.recording.writer import RecordingWriter
+from labhil.recording.formats.time_text import TimeKind
+from labhil.recording.rig_attachments import rig_attachments
+from labhil.recording.sheet import Mapped, Sheet
+from labhil.recording.slow_channels import fill_slow
+from labhil.recording.stated_units import check_units
+from labhil.recording.time_column import Clock, Ordered, best_clock, order_rows, read_clock, time_notes
+from labhil.recording.writer import RecordingWriter, media_type
 from labhil.rig import Channel, Column, RigFile
 from labhil.signals import Batch, Direction, FloatArray, IntArray, Signal, Stream
-from labhil.terminal import printable_name
 
 TIME_COLUMNS = ("t", "time", "timestamp")
-MOST_NAMES = 40
-"""Columns that a message lists."""
-
 UNSTEADY = 0.02
 """A mean rate that differs from the median one by more than this share is told."""
 
 LONGEST_TIME = 9e9
 """s; what fits into int64 nanoseconds."""
 
-FIELD_COUNT = "field_count"
-NOT_FINITE = "not_finite"
-TIME = "time"
+EDGE = "edge"
+PART = "part"
 
 Mask = NDArray[np.bool_]
 
@@ -46,7 +46,7 @@ class ImportedTable:
     shape (n, stream.width); ``row`` (n,) is each kept row's number among the ``rows`` of the file, so
     that what was dropped is a hole in it. ``dropped`` counts bad rows by reason, ``outside`` for each
     limited signal the kept rows that lie outside its limits, and ``flagged`` (n,) marks these. ``notes`` say
-    how the rows came to be, where that is not plain.
+    what served as the time, and how the rows came to be; ``first_bad`` quotes the first bad row by reason.
     """
 
     source: Path
@@ -62,62 +62,41 @@ class ImportedTable:
     outside: Mapping[str, int]
     flagged: Mask
     notes: tuple[str, ...] = ()
+    first_bad: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.row)
 
 
-class _Mapped(NamedTuple):
-    """A signal and the columns it is made of, each with its scale and offset."""
-
-    signal: Signal
-    columns: tuple[int, ...]
-    scale: FloatArray
-    offset: FloatArray
-
-
-@dataclass(frozen=True)
-class _Sheet:
-    """A file, its columns, and the rig file that says how to read them."""
-
-    path: Path
-    columns: Columns
-    rig: RigFile
-
-    def available(self) -> str:
-        """What columns there are, for messages."""
-        if self.columns.names is None:
-            return f"no header and {self.columns.width} columns, 0 to {self.columns.width - 1}"
-        names = self.columns.names
-        more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
-        return f"the columns {', '.join(map(printable_name, names[:MOST_NAMES]))}{more}"
-
-    def line(self, row: int) -> str:
-        """Where a row stands, for messages."""
-        return f"{self.path}, {self.columns.row_word} {self.columns.lines[row]}"
-
-
 def import_table(data: Path, rig: RigFile) -> ImportedTable:
     """Read a table by the rules of ``[table]`` and ``[channels]`` in a rig file.
 
-    TableError names the file, the column, what was expected and what was found: where a column is
-    missing, where no row is good, and for any bad row if the rig file says ``bad_rows = "fail"``.
+    TableError names the file, the column, what was expected and what was found: where a column is missing,
+    where no row is good, where the time is ambiguous or units differ, for any bad row if the rig file says
+    ``bad_rows = "fail"``, and for many of them unless it says ``"drop"``.
     """
     content, sha256 = _content(data)
-    sheet = _Sheet(data, read_columns(data, content, rig.table, _wanted(rig)), rig)
-    mapped, time_channel = _signals(sheet), _time_channel(sheet)
+    sheet = Sheet(data, read_columns(data, content, rig.table, _wanted(rig)), rig)
+    mapped, clock = _signals(sheet), _clock(sheet)
+    timed = [clock.mapped] if clock is not None and clock.kind is TimeKind.NUMBER else []
+    units = check_units(sheet, [*timed, *mapped])
     taken = [(one, _scaled(sheet, one)) for one in mapped]
-    values = np.hstack([scaled for _, scaled in taken])
-    time = None
-    if time_channel is not None:
-        taken.insert(0, (time_channel, _scaled(sheet, time_channel)))
-        time = taken[0][1][:, 0]
-    finite = _finite_rows(sheet, taken)
-    row = _rows_in_time(sheet, finite, time)
-    t = _seconds(sheet, row, time)
+    ordered = _ordered(sheet, clock, taken)
+    filled = fill_slow(sheet, taken, ordered.t)
+    time = [] if clock is None else [(clock.mapped, clock.seconds[:, None])]
+    finite = finite_rows(sheet, [*time, *filled.taken])
+    followed = np.isfinite(ordered.t)
+    row = np.flatnonzero(finite & followed)
+    excused = filled.edge | ordered.elsewhere
+    bad = bad_rows(sheet, [*time, *filled.taken], finite, followed, excused)
+    t = _seconds(sheet, row, ordered.t)
+    notes = [*sheet.columns.notes, *units, *ordered.notes, *filled.notes]
+    notes += [_rate_note(sheet)] if clock is None else time_notes(sheet, clock, t, row)
     stream = Stream("state", tuple(one.signal for one in mapped), float(1.0 / np.median(np.diff(t))))
-    outside, flagged = _outside(stream, values[row], rig)
-    complete = sheet.columns.complete
+    values = np.hstack([scaled for _, scaled in filled.taken])[row]
+    values, applied = with_channel_keys(stream, rig.channels, t, values)
+    outside, flagged = _outside(stream, values, rig)
+    also = {EDGE: filled.edge & ~ordered.elsewhere, PART: ordered.elsewhere & sheet.columns.complete}
     return ImportedTable(
         source=data,
         sha256=sha256,
@@ -125,17 +104,17 @@ def import_table(data: Path, rig: RigFile) -> ImportedTable:
         stream=stream,
         row=row,
         t=t,
-        values=values[row],
-        time_origin=0.0 if time is None else float(time[row[0]]),
+        values=values,
+        time_origin=0.0 if clock is None else float(clock.seconds[row[0]]),
         rows=len(finite),
         dropped={
-            FIELD_COUNT: int(np.count_nonzero(~complete)),
-            NOT_FINITE: int(np.count_nonzero(complete & ~finite)),
-            TIME: int(np.count_nonzero(finite)) - len(row),
+            **bad.counts,
+            **{reason: int(np.count_nonzero(mask)) for reason, mask in also.items() if mask.any()},
         },
         outside=outside,
         flagged=flagged,
-        notes=sheet.columns.notes,
+        notes=(*notes, *applied),
+        first_bad=bad.first,
     )
 
 
@@ -143,7 +122,7 @@ def write_import(table: ImportedTable, out: Path) -> Path:
     """Write an imported table as a recording, in place of one that is there; returns its path.
 
     The device bears the name of the rig's kind; the rig file and the counts of what was dropped go with
-    it. The same table always makes the same samples: the host's time is the table's, from 0.
+    it. The same table always makes the same bytes: the host's time is the table's, from 0.
     """
     t_ns = np.rint(table.t * 1e9).astype(np.int64)
     told = {
@@ -156,9 +135,10 @@ def write_import(table: ImportedTable, out: Path) -> Path:
         **{f"outside_limits.{name}": str(count) for name, count in table.outside.items()},
         **{f"note.{number}": note for number, note in enumerate(table.notes)},
     }
-    with RecordingWriter(out) as writer:
+    with RecordingWriter(out, flush_interval=math.inf) as writer:
         try:
-            writer.attach(RIG_ATTACHMENT, "application/toml", table.rig.text.encode())
+            for name, content in rig_attachments(table.rig).items():
+                writer.attach(name, media_type(name), content)
             writer.metadata("import", told)
             channel = writer.add_stream(table.rig.rig.kind, table.stream, {"source": table.source.name})
             writer.write(channel, Batch(table.row, t_ns, t_ns, table.values))
@@ -182,15 +162,23 @@ def describe_import(table: ImportedTable) -> list[str]:
     lines = [f"{table.source}: {len(table)} of {table.rows} rows, {extent}", f"signals: {signals}"]
     lines += table.notes
     why = {
-        FIELD_COUNT: "wrong number of fields",
-        NOT_FINITE: "text, NaN or nothing in a mapped column",
-        TIME: "time outside the longest increasing run",
+        **WHY,
+        EDGE: "before the first or after the last sample of a slower channel",
+        PART: "in other parts",
     }
-    lines += [f"dropped: {count} rows, {why[reason]}" for reason, count in table.dropped.items() if count]
+    lines += [
+        f"dropped: {count} rows {why[reason]}{_first_of(table, reason)}"
+        for reason, count in table.dropped.items()
+        if count
+    ]
     lines += [
         f"outside [limits], kept: {count} rows of {name}" for name, count in table.outside.items() if count
     ]
     return lines
+
+
+def _first_of(table: ImportedTable, reason: str) -> str:
+    return f", the first in {table.first_bad[reason]}" if reason in table.first_bad else ""
 
 
 def _content(path: Path) -> tuple[bytes, str]:
@@ -219,10 +207,10 @@ def _wanted(rig: RigFile) -> tuple[str, ...]:
     return tuple(source for source in sources if isinstance(source, str))
 
 
-def _signals(sheet: _Sheet) -> tuple[_Mapped, ...]:
+def _signals(sheet: Sheet) -> tuple[Mapped, ...]:
     """The signals that are in the file, with their columns."""
     mapped = tuple(
-        _mapped(sheet, signal, channel)
+        _mapped(sheet, held_as_stated(signal, channel), channel)
         for signal in sheet.rig.kind.signals()
         if (channel := _channel_of(sheet, signal)) is not None
     )
@@ -236,15 +224,15 @@ def _signals(sheet: _Sheet) -> tuple[_Mapped, ...]:
     return mapped
 
 
-def _channel_of(sheet: _Sheet, signal: Signal) -> Channel | None:
+def _channel_of(sheet: Sheet, signal: Signal) -> Channel | None:
     """Where a signal stands: as [channels] says, or without that in the columns that bear its name."""
     if sheet.rig.channels:
         return sheet.rig.channels.get(signal.name)
     columns: list[Column] = list(signal.columns())
-    return Channel(columns=columns) if set(columns) & set(sheet.columns.names or ()) else None
+    return Channel(columns=columns) if any(map(sheet.columns.find, signal.columns())) else None
 
 
-def _missing(sheet: _Sheet, what: str, names: list[str]) -> str:
+def _missing(sheet: Sheet, what: str, names: list[str]) -> str:
     expected = f"{sheet.path}: {what} is missing: expected {' or '.join(names)}"
     if sheet.rig.channels:
         return f"{expected} in [channels] of {sheet.rig.path}, found {', '.join(sheet.rig.channels)}"
@@ -254,12 +242,14 @@ def _missing(sheet: _Sheet, what: str, names: list[str]) -> str:
     )
 
 
-def _time_channel(sheet: _Sheet) -> _Mapped | None:
+def _clock(sheet: Sheet) -> Clock | None:
     """The column of the time, or None where the rows come at a rate."""
-    names = [name for name in TIME_COLUMNS if name in (sheet.columns.names or ())]
-    channel = sheet.rig.channels.get("t") or (Channel(column=names[0]) if names else None)
-    if channel is not None:
-        return _mapped(sheet, Signal("t", "s", Direction.STATUS), channel)
+    time = Signal("t", "s", Direction.STATUS)
+    if "t" in sheet.rig.channels:
+        return read_clock(sheet, _mapped(sheet, time, sheet.rig.channels["t"]))
+    names = [name for name in TIME_COLUMNS if sheet.columns.find(name)]
+    if names:
+        return best_clock(sheet, [_mapped(sheet, time, Channel(column=name)) for name in names])
     if sheet.rig.table.rate is None:
         raise TableError(
             f"{sheet.path}: no time: expected a column {' or '.join(TIME_COLUMNS)} (s), a [channels] entry "
@@ -268,7 +258,22 @@ def _time_channel(sheet: _Sheet) -> _Mapped | None:
     return None
 
 
-def _mapped(sheet: _Sheet, signal: Signal, channel: Channel) -> _Mapped:
+def _ordered(sheet: Sheet, clock: Clock | None, taken: list[tuple[Mapped, FloatArray]]) -> Ordered:
+    """The rows in time: by the column of the time, or one after another at the rate of ``[table]``."""
+    rows = len(sheet.columns.counts)
+    if clock is None:
+        return Ordered(np.arange(rows) / float(sheet.rig.table.rate or 1.0), np.zeros(rows, dtype=np.bool_))
+    values = np.hstack([scaled for _, scaled in taken])
+    copied = np.zeros(rows, dtype=np.bool_)
+    copied[1:] = np.isclose(values[1:], values[:-1], rtol=0.0, atol=0.0, equal_nan=True).all(axis=1)
+    return order_rows(sheet, clock, copied)
+
+
+def _rate_note(sheet: Sheet) -> str:
+    return f"time: no column; rows come at [table] rate = {sheet.rig.table.rate:g} Hz"
+
+
+def _mapped(sheet: Sheet, signal: Signal, channel: Channel) -> Mapped:
     sources = channel.sources()
     if len(sources) != signal.width:
         raise TableError(
@@ -276,10 +281,10 @@ def _mapped(sheet: _Sheet, signal: Signal, channel: Channel) -> _Mapped:
         )
     places = tuple(_place(sheet, signal.name, source) for source in sources)
     scale, offset = (np.broadcast_to(factor, len(places)) for factor in (channel.scale, channel.offset))
-    return _Mapped(signal, places, np.asarray(scale, float), np.asarray(offset, float))
+    return Mapped(signal, places, np.asarray(scale, float), np.asarray(offset, float))
 
 
-def _place(sheet: _Sheet, name: str, source: Column) -> int:
+def _place(sheet: Sheet, name: str, source: Column) -> int:
     """The number of a column that is given by name or by number."""
     names = sheet.columns.names or ()
     if isinstance(source, int):
@@ -290,77 +295,31 @@ def _place(sheet: _Sheet, name: str, source: Column) -> int:
     if len(found) == 1:
         return found[0]
     if found:
-        raise TableError(f"{sheet.path}: {name}: expected one column {source!r}, found several")
+        same = ", ".join(names[place] for place in found)
+        raise TableError(f"{sheet.path}: {name}: expected one column {source!r}, found several: {same}")
     near = suggestion(source, names)
     raise TableError(f"{sheet.path}: {name}: expected a column {source!r}{near}, found {sheet.available()}")
 
 
-def _scaled(sheet: _Sheet, mapped: _Mapped) -> FloatArray:
+def _scaled(sheet: Sheet, mapped: Mapped) -> FloatArray:
     raw = np.column_stack([sheet.columns.numbers(column, mapped.signal.hold) for column in mapped.columns])
     with np.errstate(over="ignore", invalid="ignore"):  # what is not finite makes a bad row
-        return np.asarray(raw * mapped.scale + mapped.offset, dtype=np.float64)
+        return mapped.in_ours(raw)
 
 
-def _finite_rows(sheet: _Sheet, taken: list[tuple[_Mapped, FloatArray]]) -> Mask:
-    """Which rows have the right number of fields and a finite number in every mapped column."""
-    complete = sheet.columns.complete
-    finite: Mask = complete & np.isfinite(np.hstack([values for _, values in taken])).all(axis=1)
-    if not finite.any():
-        raise TableError(_no_good_row(sheet, taken))
-    if sheet.rig.table.bad_rows == "drop" or finite.all():
-        return finite
-    row = int(np.flatnonzero(~finite)[0])
-    if not complete[row]:
-        found = sheet.columns.counts[row]
-        raise TableError(f"{sheet.line(row)}: expected {sheet.columns.width} fields, found {found}")
-    for one, values in taken:
-        for column, value in zip(one.columns, values[row], strict=True):
-            if not np.isfinite(value):
-                raise TableError(_no_number(sheet, one.signal.name, column, row))
-    return finite
-
-
-def _no_good_row(sheet: _Sheet, taken: list[tuple[_Mapped, FloatArray]]) -> str:
-    row = int(np.flatnonzero(sheet.columns.complete)[0])
-    for one, values in taken:
-        for column, scaled in zip(one.columns, values.T, strict=True):
-            if not np.isfinite(scaled).any():
-                blamed = _no_number(sheet, one.signal.name, column, row)
-                return f"{blamed}; no other row has a number there either"
-    return f"{sheet.path}: expected rows with finite numbers in all mapped columns, found none"
-
-
-def _no_number(sheet: _Sheet, name: str, column: int, row: int) -> str:
-    found = sheet.columns.text(column, row)
-    where = column if sheet.columns.names is None else repr(sheet.columns.names[column])
-    hint = ' (with [table] decimal = "," it would be one)' if "," in found else ""
-    return f"{sheet.line(row)}: column {where} ({name}): expected a finite number, found {found}{hint}"
-
-
-def _rows_in_time(sheet: _Sheet, finite: Mask, time: FloatArray | None) -> IntArray:
-    """The finite rows that follow one another in time."""
-    candidates = np.flatnonzero(finite)
-    run = candidates if time is None else candidates[longest_run(time[candidates])]
-    if len(run) < len(candidates) and time is not None and sheet.rig.table.bad_rows == "fail":
-        row = int(np.setdiff1d(candidates, run)[0])
-        raise TableError(f"{sheet.line(row)}: expected a time that follows the others, found {time[row]:g} s")
-    if len(run) < 2:
-        raise TableError(
-            f"{sheet.path}: expected two good rows or more with increasing times, found {len(run)}"
-        )
-    return run
-
-
-def _seconds(sheet: _Sheet, row: IntArray, time: FloatArray | None) -> FloatArray:
+def _seconds(sheet: Sheet, row: IntArray, t: FloatArray) -> FloatArray:
     """Times of the kept rows in s, from the first."""
-    if time is None:
-        return np.asarray((row - row[0]) / sheet.rig.table.rate, dtype=np.float64)
-    t: FloatArray = time[row] - time[row[0]]
-    if t[-1] > LONGEST_TIME:
+    if len(row) < 2:
         raise TableError(
-            f"{sheet.path}: expected times in s, found a span of {t[-1]:g} s; [channels] t can have a scale"
+            f"{sheet.path}: expected two good rows or more with increasing times, found {len(row)}"
         )
-    return t
+    seconds: FloatArray = t[row] - t[row[0]]
+    if seconds[-1] > LONGEST_TIME:
+        raise TableError(
+            f"{sheet.path}: expected times in s, found a span of {seconds[-1]:g} s; [channels] t can have a "
+            "scale"
+        )
+    return seconds
 
 
 def _outside(stream: Stream, values: FloatArray, rig: RigFile) -> tuple[dict[str, int], Mask]:

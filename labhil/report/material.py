@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -10,13 +11,18 @@ from pathlib import Path
 
 import numpy as np
 
+from labhil.diagnose.fault import Fault
+from labhil.diagnose.intake import with_censored
+from labhil.diagnose.timing import all_faults
 from labhil.errors import RecordingError, UsageError
-from labhil.identify.windows import FEWEST_SAMPLES, split
+from labhil.identify.plausibility import doubts_of
+from labhil.identify.windows import FEWEST_SAMPLES, split, with_least_noise
 from labhil.physics.arm import ArmModel
 from labhil.physics.model import Model, Record, joined
 from labhil.physics.rigs import model_for, record_of
 from labhil.physics.several import several
-from labhil.recording.reader import Recording, read_recording
+from labhil.physics.solenoid import SolenoidModel
+from labhil.recording.reader import Recording, read_recordings
 from labhil.report.results import Source
 from labhil.report.still import constant
 from labhil.rig import RigFile, load_rig
@@ -64,11 +70,22 @@ class Material:
 
     def notes(self) -> list[str]:
         """What the model wants a person to know of what it took for known."""
-        told = list(self.model.notes) if isinstance(self.model, ArmModel) else []
+        told = list(self.model.notes) if isinstance(self.model, (ArmModel, SolenoidModel)) else []
         if constant(self.learn.inputs).all():
             names = ", ".join(self.learn.input_names)
             told.append(f"No input changes ({names}): only what the rig does by itself can be learnt.")
         return told
+
+    def faults(self) -> tuple[Fault, ...]:
+        """What is wrong with the data that are learnt from, and with what is held out of them."""
+        return all_faults(self.model, self.measured)
+
+    def doubts(self, *, misfit: bool) -> list[str]:
+        """What the physics of the rig calls implausible: units, signs, times or columns; a text each.
+
+        Harder looked for where a model has a ``misfit``.
+        """
+        return [doubt.statement for doubt in doubts_of(self.measured, self.rig, misfit=misfit)]
 
     def numbered(self) -> list[str]:
         """What the numbers of several recordings stand for, a line each; nothing of one."""
@@ -80,8 +97,9 @@ class Material:
         ]
 
     def losses(self) -> list[str]:
-        """What the recordings lack, a line each."""
-        return [line for recording, _, _ in self.recordings for line in recording.losses()]
+        """Which device was chosen where nobody said so, and what the recordings lack, a line each."""
+        recordings = [recording for recording, _, _ in self.recordings]
+        return [line for each in recordings for line in (*_unasked(each, self.rig), *each.losses())]
 
     def naming(self) -> AbstractContextManager[None]:
         """Names the file in what a fit or a diagnosis says of its recording."""
@@ -103,21 +121,23 @@ def load_material(
     span: tuple[float, float] | None = None,
     all_of_it: bool = False,
     device: str | None = None,
+    run: int | None = None,
 ) -> Material:
     """Read one recording or several, or of each the ``span`` from … to (s), and what is to be judged on.
 
     Without ``test_path`` the last ``holdout`` of each recording is held out, after a gap of one scored
     horizon; nothing is where ``holdout`` is 0 and ``all_of_it`` allows that. The rig file is the given one,
-    or the one that the recordings carry. Of recordings of several devices ``device`` chooses one. What
-    ``per_recording`` names has a value in each of several recordings. Raises UsageError (RecordingError,
-    RigFileError) with what is missing.
+    or the one that the recordings carry. Of recordings of several devices ``device`` chooses one, of several
+    runs in one file ``run``. What ``per_recording`` names has a value in each of several recordings. Raises
+    UsageError (RecordingError, RigFileError) with what is missing.
     """
     if not (0.05 <= holdout <= 0.9 or (all_of_it and holdout == 0.0)):
         nothing = ", or 0 to hold nothing out" if all_of_it else ""
         raise UsageError(f"--holdout: expected a share from 0.05 to 0.9{nothing}, found {holdout:g}")
     paths, test_paths = _paths(path), _paths(test_path)
     _refuse_counts(paths, test_paths, per_recording)
-    found = [read_recording(each).of_device(device) for each in paths]
+    everything = [each.of_device(device) for each in read_recordings((*paths, *test_paths), run)]
+    found, tested = everything[: len(paths)], everything[len(paths) :]
     _refuse_twice(found)
     rig = common_rig(found, rig_path)
     records, measured = _measured(found, rig, span)
@@ -132,7 +152,6 @@ def load_material(
             learn, judge = _held_out(model, measured, found, holdout)
             _refuse_horizon(rig, judge)
         return Material(rig, model, learn, judge, False, measured, learning)
-    tested = [read_recording(each).of_device(device) for each in test_paths]
     tests, test = _measured(tested, rig, like=measured, of=found[0])
     if len(tests) > 1 and len(records) == 1:
         model = several(model, (), 1)
@@ -143,6 +162,19 @@ def load_material(
         judge = model.prepare(test)
         _refuse_horizon(rig, judge)
     return Material(rig, model, learn, judge, True, measured, (*learning, *judging))
+
+
+def _unasked(recording: Recording, rig: RigFile) -> list[str]:
+    """A line that says which of several devices is used."""
+    devices = list(dict.fromkeys(data.device for data in recording.streams))
+    if len(devices) < 2:
+        return []
+    wanted = {signal.name for signal in rig.kind.outputs}
+    used = [data.device for data in recording.streams if wanted & set(data.stream.names())]
+    return [
+        f"{recording.path}: holds the devices {', '.join(devices)}; used: {', '.join(dict.fromkeys(used))}. "
+        "--device NAME chooses another"
+    ]
 
 
 @contextmanager
@@ -187,7 +219,9 @@ def _measured(
 
     Raises RecordingError where one has another input than the record ``like`` of the recording ``of``.
     """
-    records = [_within(record_of(recording, rig.kind), span, recording) for recording in recordings]
+    records = [
+        _within(_marked(record_of(recording, rig.kind), rig), span, recording) for recording in recordings
+    ]
     for recording, record in zip(recordings, records, strict=True):
         if like is not None and of is not None and record.input_names != like.input_names:
             raise RecordingError(
@@ -195,6 +229,15 @@ def _measured(
                 f"found {record.input_names[0]}"
             )
     return records, joined(records, [str(recording.path) for recording in recordings])
+
+
+def _marked(record: Record, rig: RigFile) -> Record:
+    """A record with the holds that the rig file states, and what only the whole of it shows.
+
+    That is the noise of channels that rest for a part of it, and readings at the ends of their range.
+    """
+    record = with_least_noise(record.with_holds({n: c.hold for n, c in rig.channels.items() if c.hold}))
+    return record if any(joint is not None for joint in record.output_joints) else with_censored(record)
 
 
 def _within(record: Record, span: tuple[float, float] | None, recording: Recording) -> Record:
@@ -289,7 +332,7 @@ def common_rig(recordings: Sequence[Recording], rig_path: Path | None) -> RigFil
                 f"{rig.kind.name}"
             )
         for section in RIG_SECTIONS:
-            one, other = (dict(each.model_dump()[section]) for each in (first, rig))
+            one, other = (_stated(each, section) for each in (first, rig))
             for name in sorted(one.keys() | other.keys()):
                 if one.get(name) != other.get(name):
                     raise RecordingError(
@@ -297,6 +340,17 @@ def common_rig(recordings: Sequence[Recording], rig_path: Path | None) -> RigFil
                         f"that of {begin.path} {_said(one.get(name))}; give one for all with --rig"
                     )
     return first
+
+
+def _stated(rig: RigFile, section: str) -> dict[str, object]:
+    """What a section says; of a file that travels with the rig file what is in it, wherever it stood."""
+    stated: dict[str, object] = dict(rig.model_dump()[section])
+    if section == "known":
+        stated |= {
+            name: f"a file with SHA-256 {hashlib.sha256(content).hexdigest()}"
+            for name, content in rig.files.items()
+        }
+    return stated
 
 
 def _said(value: object) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,20 +27,22 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class FitResult:
-    """A fit with its JSON."""
+    """A fit with its JSON; ``doubts`` say what is implausible in the data."""
 
     fit: Fit
     material: Material
     json: Any
+    doubts: Sequence[str] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisResult:
-    """A diagnosis with its JSON."""
+    """A diagnosis with its JSON; ``doubts`` say what is implausible in the data."""
 
     diagnosis: Diagnosis
     material: Material
     json: Any
+    doubts: Sequence[str] = ()
 
 
 def fit_study(
@@ -76,7 +78,9 @@ def fit_study(
     seconds = time.perf_counter() - began
     sources = material.sources("train")
     data = fit_json(result, sources, model.kind, how.estimator, how.seed, seconds, curves_json(model))
-    return FitResult(result, material, data)
+    data["faults"] = [asdict(fault) for fault in material.faults()]
+    doubts = material.doubts(misfit=not result.adequacy.explained)
+    return FitResult(result, material, {**data, "doubts": doubts}, doubts)
 
 
 def _with_own(model: Model, terms: Sequence[str], *, stated: bool) -> tuple[str, ...]:
@@ -122,7 +126,9 @@ def diagnose_study(
             measured=material.measured,
             progress=progress,
         )
-    return DiagnosisResult(diagnosis, material, diagnosis_json(diagnosis, material.sources("search")))
+    doubts = material.doubts(misfit=diagnosis.verdict != "no_mismatch")
+    data = diagnosis_json(diagnosis, material.sources("search"))
+    return DiagnosisResult(diagnosis, material, {**data, "doubts": doubts}, doubts)
 
 
 def _reference_values(material: Material, reference: Path | None) -> Mapping[str, float] | None:

@@ -16,16 +16,19 @@ from labhil.identify.statistics import Estimate
 from labhil.physics.model import Metric
 from labhil.physics.terms import keyed, listed
 from labhil.report.absent import joints_table, of_joints, silences
-from labhil.report.html.quantity import quantity, squared
-from labhil.report.verdicts import VERDICTS
+from labhil.report.html.quantity import NOTHING, quantity, squared
+from labhil.report.verdicts import VERDICTS, verdict_line
 
 NOT_THERE = "Not there, or smaller than this (99 %)"
 
 
 def show_fit(fit: Fit, console: Console, numbered: Sequence[str] = ()) -> None:
     """Print a fit; ``numbered`` are lines about what it was made from, as several recordings' numbers."""
+    explained = fit.adequacy.explained
+    console.print(Text(verdict_line(fit.adequacy), style="bold" if explained else "bold yellow"))
     _show_numbered(numbered, console)
-    console.print(parameter_table(fit.estimates, f"Parameters: errors robust to correlation, {_kind(fit)}"))
+    title = f"Parameters: errors robust to correlation, {_kind(fit)}"
+    console.print(parameter_table(fit.estimates, title, stars=explained and not fit.sampling))
     for note in _fit_notes(fit):
         console.print(Text("· " + note, style="yellow"))
     console.print(score_table([("train", fit.train)] + ([("test", fit.test)] if fit.test else [])))
@@ -59,8 +62,8 @@ def _kind(fit: Fit) -> str:
     return f"99 % intervals by {fit.intervals.value}{together}"
 
 
-def parameter_table(estimates: Sequence[Estimate], title: str) -> Table:
-    """One row per parameter; ``*`` marks those that differ from zero at 1 %."""
+def parameter_table(estimates: Sequence[Estimate], title: str, *, stars: bool = True) -> Table:
+    """One row per parameter; ``*`` marks those that differ from zero at 1 %, where ``stars`` may be given."""
     table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
     table.add_column("parameter", no_wrap=True)
     for name in ("value", "± std. error", "99 % interval", "z", "p"):
@@ -71,14 +74,18 @@ def parameter_table(estimates: Sequence[Estimate], title: str) -> Table:
         table.add_row(
             row.key,
             f"{row.value:.5g}",
-            f"{row.std_error:.2g}",
-            f"[{row.ci99[0]:.4g}, {row.ci99[1]:.4g}]".replace("[", r"\["),
-            f"{row.z:.1f}",
-            small(row.p_value).removeprefix("= "),
-            _mark(row),
+            _or_dash(row.std_error, ".2g"),
+            NOTHING if math.isnan(row.ci99[0]) else Text(f"[{row.ci99[0]:.4g}, {row.ci99[1]:.4g}]"),
+            _or_dash(row.z, ".1f"),
+            NOTHING if math.isnan(row.p_value) else small(row.p_value).removeprefix("= "),
+            _mark(row, stars),
             row.unit,
         )
     return table
+
+
+def _or_dash(value: float, form: str) -> str:
+    return NOTHING if math.isnan(value) else f"{value:{form}}"
 
 
 def percent(share: float, unit: str = " %") -> str:
@@ -91,12 +98,14 @@ def small(p_value: float) -> str:
     return "<1e-99" if p_value < 1e-99 else f"= {p_value:.2g}"
 
 
-def _mark(row: Estimate) -> str:
+def _mark(row: Estimate, stars: bool) -> str:
+    if math.isnan(row.std_error):
+        return "held"
     if not row.identifiable:
         return "not identifiable"
     if row.at_bound:
         return "at bound"
-    return "*" if row.significant else ""
+    return "*" if row.significant and stars else ""
 
 
 def score_table(scores: Sequence[tuple[str, Score]]) -> Table:
@@ -180,12 +189,28 @@ def _fit_notes(fit: Fit) -> list[str]:
         )
         if fit.identifiability.would_help:
             notes.append(f"It would help to know or to record: {', '.join(fit.identifiability.would_help)}.")
-    if fit.by_window and fit.window < fit.by_window[-1].window:
+    notes += fit.sampling
+    if not fit.adequacy.explained:
+        notes.append(_assumption(fit))
+    elif fit.by_window and fit.window < fit.by_window[-1].window:
         notes.append(
             f"Longer windows than {fit.window:.3g} s do not fit to the noise: the plant itself is disturbed, "
             "or physics is missing. `labhil diagnose` tells."
         )
     return notes
+
+
+def _assumption(fit: Fit) -> str:
+    """What the intervals of a model that does not explain its data stand for."""
+    if fit.compared:
+        lengths = ", ".join(f"{length:.3g}" for length in sorted((*fit.compared, fit.window)))
+        wide = f"Intervals are widened by how far the estimates move over windows of {lengths} s"
+    else:
+        wide = "Intervals are made of one fit only, so what the misfit biases does not show in them"
+    return (
+        f"{wide}; they assume that the rest of the misfit is independent of these parameters. Nothing is "
+        "starred: the model leaves more than noise. `labhil diagnose` looks for what is missing."
+    )
 
 
 def show_diagnosis(diagnosis: Diagnosis, console: Console, numbered: Sequence[str] = ()) -> None:
@@ -212,6 +237,8 @@ def _found(diagnosis: Diagnosis) -> Iterator[RenderableType]:
     yield Text(VERDICTS[diagnosis.verdict], style="bold")
     terms = ", ".join(listed(diagnosis.baseline_terms))
     yield Text(f"Baseline: {terms}; p {small(diagnosis.p_value)} that it suffices.")
+    for size in diagnosis.collapsed:
+        yield Text(f"! {size.statement}", style="yellow")
     for fault in diagnosis.faults:
         yield Text(f"! {fault.statement}", style="yellow")
     if diagnosis.location is not None:

@@ -1,6 +1,13 @@
-"""What each verdict of a diagnosis says, in a plain sentence."""
+"""What each verdict of a fit and of a diagnosis says, in a plain sentence."""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from labhil.identify.adequacy import Adequacy
 
 VERDICTS = {
     "no_mismatch": "No mismatch: the data do not contradict the baseline.",
@@ -10,3 +17,31 @@ VERDICTS = {
     "data_fault": "The data are at fault.",
     "not_decidable": "These data cannot tell.",
 }
+
+
+FIT_VERDICTS = {
+    "explained": "Explained to the noise",
+    "unexplained": "Not explained",
+    "worse_than_mean": "Worse than its own mean",
+}
+
+
+def fit_verdict(verdict: str, residual_over_noise: Mapping[str, float | None], r2: float | None) -> str:
+    """The verdict of a fit as one line; ``r2`` is the smallest R² of what is not explained, a fraction.
+
+    Channels whose ratio is not known have None: their simulation ran away.
+    """
+    known = {name: math.inf if ratio is None else ratio for name, ratio in residual_over_noise.items()}
+    worst = max(known, key=lambda name: known[name], default="")
+    of = f" of {worst}" if len(known) > 1 else ""
+    ratio = known.get(worst, math.nan)
+    times = f"{ratio:.2f}" if ratio < 10.0 else f"{ratio:.0f}"
+    line = f"{FIT_VERDICTS[verdict]}: residual{of} {times} times the noise"
+    if verdict == "worse_than_mean" and r2 is not None and math.isfinite(r2):
+        line += f" (R² {100.0 * r2:.4g} %)"
+    return line + "."
+
+
+def verdict_line(found: Adequacy) -> str:
+    """The same of the gate's answer."""
+    return fit_verdict(found.verdict.value, found.residual_over_noise, found.r2)

@@ -23,6 +23,7 @@ from labhil.report.kept_curve import under_kept_curve
 from labhil.report.material import refuse_holes, rig_of
 from labhil.report.results import Source, accepted_of, finite, score_json
 from labhil.report.text import small
+from labhil.report.verdicts import verdict_line
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,9 +42,10 @@ def verify_study(
     *,
     alpha: float = ALPHA,
     device: str | None = None,
+    run: int | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> VerificationResult:
-    """Hold a recording, or what it holds of one ``device``, against the model of a fit or diagnosis file.
+    """Hold a recording, or what it holds of one ``device`` or ``run``, against a result's model.
 
     Raises UsageError (RecordingError, RigFileError, ModelFileError) with what is wrong and where.
     """
@@ -51,7 +53,7 @@ def verify_study(
         raise UsageError(f"--alpha: expected a probability above 0 and below 0.5, found {alpha:g}")
     began = time.perf_counter()
     accepted = accepted_of(model_path)
-    recording = read_recording(path).of_device(device)
+    recording = read_recording(path, run).of_device(device)
     rig = rig_of(recording, rig_path)
     if accepted.rig not in (None, rig.kind.name):
         raise ModelFileError(
@@ -90,6 +92,8 @@ def verification_json(found: Verification, source: Source, model_path: Path, sec
             "p_value": found.p_value,
             "reasons": list(found.reasons),
             "notes": list(found.notes),
+            "adequacy": found.adequacy.verdict.value,
+            "residual_over_noise": dict(found.adequacy.residual_over_noise),
             "score": score_json(found.score),
             "channels": [asdict(channel) for channel in found.channels],
             "values_p": found.values_p,
@@ -111,6 +115,7 @@ def show_verification(found: Verification, console: Console) -> None:
             style="bold green" if found.consistent else "bold red",
         )
     )
+    console.print(Text(verdict_line(found.adequacy), style="" if found.adequacy.explained else "yellow"))
     for reason in found.reasons:
         console.print(Text("· " + reason))
     for note in found.notes:

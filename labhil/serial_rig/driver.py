@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from labhil.driver import Counters, DeviceInfo, DriverSpec
 from labhil.errors import CommandRefusedError, ConnectError, DeviceError, DeviceResetError, ProtocolError
+from labhil.host_clock import unix_ns
 from labhil.link import Decoder, Frame, Hello, MessageType, Samples, SetCommand, State, StateFlag, Unwrapper
 from labhil.serial_rig.handshake import Sender, ask_hello, configure
 from labhil.serial_rig.port import Port
@@ -100,7 +101,7 @@ class SerialDriver:
                     raise self._failure
                 left = deadline - time.monotonic()
                 data = self._port.receive(min(max(left, 0.0), PATIENCE))
-                pieces = self._take(self._decoder.feed(data), time.time_ns())
+                pieces = self._take(self._decoder.feed(data), unix_ns())
                 if left <= 0.0 and self._failure is None:
                     break
             self._count()

@@ -41,6 +41,7 @@ class Child:
             stderr=self._errors,
             start_new_session=True,
             text=True,
+            errors="replace",
             bufsize=1,
             env={**os.environ, **(environment or {})},
         )
@@ -50,9 +51,11 @@ class Child:
 
     def _read_lines(self) -> None:
         assert self._process.stdout is not None
-        for line in self._process.stdout:
-            self._lines.put(line.rstrip("\n"))
-        self._lines.put(None)
+        try:
+            for line in self._process.stdout:
+                self._lines.put(line.rstrip("\n"))
+        finally:
+            self._lines.put(None)
 
     @property
     def pid(self) -> int:
@@ -82,6 +85,15 @@ class Child:
             if time.monotonic() > deadline:
                 raise BusError(f"{self.name} said nothing for {timeout:g} s{self.complaint()}")
         return None
+
+    def next_line(self) -> str:
+        """Return the next line if it is there already, else nothing; does not wait."""
+        with contextlib.suppress(queue.Empty):
+            line = self._lines.get_nowait()
+            if line is not None:
+                return line
+            self._lines.put(None)  # the end is for whoever waits, too
+        return ""
 
     def complaint(self) -> str:
         """Return the last line of what the child wrote to its standard error, for a message of ours."""

@@ -7,15 +7,19 @@ thread hangs.
 
 from __future__ import annotations
 
+import math
 import queue
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any, Self
 
-from labhil.bus.ask import serve
+from labhil.bus.ask import Answering, serve
+from labhil.bus.authentication import Refusals
+from labhil.bus.incoming import AnyRequest, EstopRequest, LeaseRequest, SafeRequest, SetpointMessage
 from labhil.bus.keys import command_key, setpoint_key
 from labhil.bus.live import announce
 from labhil.bus.publish import StreamPublisher, publish_event
@@ -23,6 +27,8 @@ from labhil.bus.session import Bus
 from labhil.bus.subscribe import subscribe
 from labhil.driver import DeviceInfo, Driver
 from labhil.errors import BusError, CommandRefusedError, DeviceError, DeviceSilentError
+from labhil.host_clock import unix_ns
+from labhil.service.commands import COMMANDS, is_guarded, reader_of
 from labhil.service.declared import command_stream, stream_metadata
 from labhil.service.interlocks import Interlocks
 from labhil.service.latch import HostLatch
@@ -30,7 +36,7 @@ from labhil.service.lease import Lease
 from labhil.service.limits import SampleLimits
 from labhil.service.messages import HostConfig, HostState, Setpoint
 from labhil.service.output import Clock, Output
-from labhil.service.reconnect import Continuation, Search, refuse_another
+from labhil.service.reconnect import GIVE_UP, Continuation, Search, refuse_another
 from labhil.signals import Batch
 
 READ_TIMEOUT = 0.002
@@ -45,8 +51,6 @@ LONGEST_STALL = 0.05
 """What one turn of the loop may count for in the watchdog, s: our own stalls are nobody's silence."""
 
 STEADY = (HostState.IDLE, HostState.ACTIVE)
-
-COMMANDS = ("status", "set", "safe", "lease", "estop", "shutdown")
 
 
 @dataclass(slots=True)
@@ -87,6 +91,7 @@ class DeviceControl:
         }
         self._shut_down_reason = ""
         self._refused: set[str] = set()
+        self._refusals = Refusals(lambda text: self._announce("rejected", text))
         self._violation: str | None = None
         self._heard_at = 0.0
         self._heard_any = False
@@ -110,14 +115,20 @@ class DeviceControl:
             self._commands = StreamPublisher(bus, config.device, commands, metadata)
             resources.callback(self._commands.close)
             for name in COMMANDS:
-                resources.enter_context(serve(bus, command_key(config.device, name), self._handler(name)))
-            resources.enter_context(subscribe(bus, setpoint_key(config.device), self._take_setpoints))
+                resources.enter_context(self._answering(name))
+            setpoints = subscribe(bus, setpoint_key(config.device), self._take_setpoints, self._refusals)
+            resources.enter_context(setpoints)
             resources.enter_context(announce(bus, config.device))
             self._resources = resources.pop_all()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._resources.close()
+
+    def _answering(self, name: str) -> Answering:
+        key, handler = command_key(self._config.device, name), self._handler(name)
+        guarded, refusals = partial(is_guarded, name), self._refusals
+        return serve(self._bus, key, handler, reader=reader_of(name), guarded=guarded, refusals=refusals)
 
     def run(self) -> str:
         """Serve the device until something ends it, and return what did; the device is safe then.
@@ -142,6 +153,9 @@ class DeviceControl:
 
     def _turn(self, before: float) -> float:
         """Take in samples, answer, keep watch; returns when that was. ``before`` is the last turn's time."""
+        if deaf := self._bus.failure():
+            # a host that no longer hears must not go on commanding
+            raise BusError(f"the host of {self._config.device!r}: {deaf}")
         batch = self._driver.read(READ_TIMEOUT)
         now = time.monotonic()
         if len(batch):
@@ -163,7 +177,7 @@ class DeviceControl:
         """Try to connect again, and answer meanwhile; raises what the last attempt did."""
         self._to_safety(HostState.RECONNECTING, f"{error}; looking for it again", "lost")
         lost_at = time.monotonic()
-        search = Search(self._driver)
+        search = Search(self._driver, math.inf if self._config.patient else GIVE_UP)
         try:
             while (info := search.result(READ_TIMEOUT)) is None:
                 if self._ended() or self._shut_down_reason:
@@ -227,10 +241,10 @@ class DeviceControl:
         for payload in payloads:
             self._inbox.put(Request("setpoint", payload))
 
-    def _handler(self, name: str) -> Callable[[dict[str, Any]], dict[str, Any]]:
-        def handle(payload: dict[str, Any]) -> dict[str, Any]:
-            if name == "estop" and payload.get("action", "press") == "press":
-                self._latch.press(payload)
+    def _handler(self, name: str) -> Callable[[Any], dict[str, Any]]:
+        def handle(payload: Any) -> dict[str, Any]:
+            if isinstance(payload, EstopRequest) and payload.action == "press":
+                self._latch.press(payload.by, payload.reason)
                 self._driver.safe()
             if name == "safe":
                 self._driver.safe()
@@ -275,11 +289,11 @@ class DeviceControl:
             self._refused.add(message)
             self._announce("refused", message)
 
-    def _shut_down(self, payload: dict[str, Any], now: float) -> dict[str, Any]:
+    def _shut_down(self, payload: AnyRequest, now: float) -> dict[str, Any]:
         self._shut_down_reason = "told to shut down"
         return self._status(payload, now)
 
-    def _status(self, _payload: dict[str, Any], now: float) -> dict[str, Any]:
+    def _status(self, _payload: AnyRequest, now: float) -> dict[str, Any]:
         return {
             "state": self.state.value,
             "reason": self._reason,
@@ -290,23 +304,20 @@ class DeviceControl:
             "applied": self._output.applied,
             "counters": asdict(self._driver.counters),
             "overflows": self._states.overflows + self._commands.overflows,
+            "refused": dict(self._refusals.counts),
         }
 
-    def _take_lease(self, payload: dict[str, Any], now: float) -> dict[str, Any]:
-        action = payload.get("action", "take")
-        if action == "take":
+    def _take_lease(self, asked: LeaseRequest, now: float) -> dict[str, Any]:
+        if asked.action == "take":
             objection = self._objection()
             if objection is not None:
                 raise CommandRefusedError(objection)
-            holder = str(payload.get("holder", "somebody"))
-            token = self._lease.take(holder, now)
+            token = self._lease.take(asked.holder, now)
             self._refused.clear()
-            self._become(HostState.IDLE, f"lease taken by {holder!r}", "leased")
+            self._become(HostState.IDLE, f"lease taken by {asked.holder!r}", "leased")
             return {"token": token}
-        if action not in ("renew", "return"):
-            raise CommandRefusedError(f'lease: action is "take", "renew" or "return", found {action!r}')
-        self._lease.renew(str(payload.get("token", "")), now)
-        if action == "return":
+        self._lease.renew(asked.token, now)
+        if asked.action == "return":
             self._to_safety(HostState.IDLE, "lease returned", "returned")
         else:
             self._output.unheard = 0.0
@@ -322,27 +333,24 @@ class DeviceControl:
             return f"the device cannot be commanded: {self._violation}"
         return self._interlocks.standing()
 
-    def _make_safe(self, payload: dict[str, Any], _now: float) -> dict[str, Any]:
+    def _make_safe(self, asked: SafeRequest, _now: float) -> dict[str, Any]:
         # what trips, latches or is lost stays so: being told to be safe as well lifts none of it
         state = HostState.IDLE if self.state is HostState.ACTIVE else self.state
-        self._to_safety(state, str(payload.get("reason", "told to")), "safe")
+        self._to_safety(state, asked.reason, "safe")
         return {"applied": self._output.applied}
 
-    def _estop(self, payload: dict[str, Any], now: float) -> dict[str, Any]:
-        action = payload.get("action", "press")
-        if action == "press":
+    def _estop(self, asked: EstopRequest, now: float) -> dict[str, Any]:
+        if asked.action == "press":
             self._look_at_latch(now)
             self._driver.safe()
-        elif action == "release":
+        else:
             self._latch.release()
             if self.state is HostState.LATCHED:
                 self._become(HostState.IDLE, "the emergency stop was released", "released")
-        else:
-            raise CommandRefusedError(f'estop: action is "press" or "release", found {action!r}')
         return {"state": self.state.value, "latched": self._latch.standing is not None}
 
-    def _set(self, payload: dict[str, Any], now: float) -> dict[str, Any]:
-        setpoint = Setpoint.from_json(payload)
+    def _set(self, payload: SetpointMessage, now: float) -> dict[str, Any]:
+        setpoint = Setpoint.of(payload)
         self._admit(setpoint, now)
         self._output.limits.refuse_beyond(setpoint.values)
         self._apply(setpoint, now)
@@ -357,7 +365,9 @@ class DeviceControl:
 
     def _admit(self, setpoint: Setpoint, now: float) -> None:
         # the lease comes first: a stale setpoint must not keep it alive
-        age, oldest = (time.time_ns() - setpoint.t_ns) * 1e-9, self._config.watchdog
+        # whoever is of no session of ours stamps by the wall clock, which may have been set since ours began
+        age = min(unix_ns() - setpoint.t_ns, time.time_ns() - setpoint.t_ns, key=abs) * 1e-9
+        oldest = self._config.watchdog
         if age > oldest:
             raise CommandRefusedError(f"stale: a setpoint may be {oldest:g} s old, this one is {age:.3g} s")
         if age < -oldest:
@@ -398,5 +408,5 @@ class DeviceControl:
         self._announce(kind or state.value, reason, **more)
 
     def _announce(self, kind: str, message: str, **more: object) -> None:
-        data = {"t_ns": time.time_ns(), "kind": kind, "state": self.state.value, "message": message, **more}
+        data = {"t_ns": unix_ns(), "kind": kind, "state": self.state.value, "message": message, **more}
         publish_event(self._bus, self._config.device, data)

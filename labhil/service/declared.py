@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from labhil.driver import DeviceInfo, Driver, DriverSpec
+from labhil.host_clock import offset_ns
+from labhil.recording.stamps import HOST_CLOCK
 from labhil.service.messages import HostConfig
 from labhil.signals import Direction, Signal, Stream
 
@@ -46,5 +48,6 @@ def stream_metadata(config: HostConfig, driver: Driver, info: DeviceInfo) -> dic
         "serial": info.serial,
         "boot_id": str(info.boot_id),
         "speed": repr(info.speed),
+        HOST_CLOCK: str(offset_ns()),
         **{f"calibration.{name}": repr(value) for name, value in info.calibration.items()},
     }

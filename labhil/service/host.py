@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import select
 import signal
 import sys
-import time
+from collections.abc import Callable
 from dataclasses import asdict
 from types import FrameType
 from typing import Any
@@ -23,10 +24,15 @@ from labhil.bus.publish import publish_event
 from labhil.bus.register import registered
 from labhil.bus.session import Bus, open_bus
 from labhil.driver import Counters, DeviceInfo, Driver
-from labhil.errors import LabhilError, RigFileError
+from labhil.errors import DeviceError, LabhilError, RigFileError
+from labhil.host_clock import unix_ns
 from labhil.plugins import load_driver
 from labhil.service.control import DeviceControl
 from labhil.service.messages import HostConfig, HostState
+from labhil.service.reconnect import Search
+
+SEARCH_LOOK = 0.1
+"""How often a host that looks for its device looks whether it is to end, s."""
 
 
 class EndOfInput:
@@ -61,7 +67,9 @@ def serve_device(config: HostConfig, ended: EndOfInput) -> str:
     driver = load_driver(config.plugin)(config.address)
     with open_bus(config.connect) as bus:
         try:
-            info = driver.connect()
+            info = connected(driver, config, ended)
+            if info is None:
+                return ended()
             refuse_unwatched(driver, config)
             reachable = registered("host", config.device, bus.endpoint, [config.device])
             with reachable, DeviceControl(config, driver, info, bus, ended) as control:
@@ -74,6 +82,23 @@ def serve_device(config: HostConfig, ended: EndOfInput) -> str:
         finally:
             driver.safe()
             driver.close()
+
+
+def connected(driver: Driver, config: HostConfig, ended: Callable[[], str]) -> DeviceInfo | None:
+    """Connect to the device; a patient host looks for one that is not there until ``ended``, then None."""
+    try:
+        return driver.connect()
+    except DeviceError as error:
+        if not config.patient:
+            raise
+        say({"waiting": str(error)})
+    search = Search(driver, math.inf)
+    try:
+        while (info := search.result(SEARCH_LOOK)) is None and not ended():
+            pass
+    finally:
+        search.cancel()
+    return info
 
 
 def refuse_unwatched(driver: Driver, config: HostConfig) -> None:
@@ -105,7 +130,7 @@ def described(driver: Driver, info: DeviceInfo) -> dict[str, Any]:
 def announce_failure(bus: Bus, device: str, error: LabhilError, counters: Counters) -> None:
     """Publish that the device failed, with what, and what had been counted on its wire by then."""
     state = HostState.FAILED.value
-    data = {"t_ns": time.time_ns(), "kind": state, "state": state, "message": str(error)}
+    data = {"t_ns": unix_ns(), "kind": state, "state": state, "message": str(error)}
     publish_event(bus, device, {**data, "error": type(error).__name__, "counters": asdict(counters)})
 
 

@@ -38,6 +38,8 @@ class HostProcess:
         self._child = Child(
             f"the host of {config.device!r}", [sys.executable, "-P", "-m", "labhil.service.host"]
         )
+        self.absent = ""
+        """Why the device is not there, as long as its host looks for it."""
         self._child.send(config.to_line())
 
     @property
@@ -47,10 +49,32 @@ class HostProcess:
 
     def wait_connected(self, interrupted: Callable[[], bool] = lambda: False) -> ConnectedDevice:
         """Wait for the device; raises what the driver raised, or RunStoppedError when ``interrupted``."""
+        device = self.wait_or_absent(interrupted)
+        while device is None:
+            device = self.wait_or_absent(interrupted)
+        return device
+
+    def wait_or_absent(self, interrupted: Callable[[], bool] = lambda: False) -> ConnectedDevice | None:
+        """The same; None when a patient host says that it looks for the device (why: ``absent``)."""
         line = self._child.line(CONNECT_TIMEOUT, interrupted)
         if line is None and interrupted():
             raise RunStoppedError("stopped while the devices were being connected")
         said = _parsed(line)
+        if "waiting" in said:
+            self.absent = str(said["waiting"])
+            return None
+        return self._device_in(said)
+
+    def has_come(self) -> bool:
+        """Whether a device that was absent is there now; does not wait. Raises what its host ended with."""
+        line = self._child.next_line()
+        if not line:
+            return False
+        self._device_in(_parsed(line))
+        self.absent = ""
+        return True
+
+    def _device_in(self, said: Mapping[str, Any]) -> ConnectedDevice:
         if "ready" not in said:
             raise self._how_it_ended(said)
         ready = said["ready"]

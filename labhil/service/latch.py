@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from typing import Any
 
 from labhil.bus import latch
 from labhil.bus.latch import Latch
@@ -23,9 +22,8 @@ class HostLatch:
         self._standing = latch.read_latch()
         self._looked_at = 0.0
 
-    def press(self, payload: dict[str, Any]) -> None:
+    def press(self, by: str, reason: str) -> None:
         """Latch the stop, and leave word for hosts that start later."""
-        by, reason = str(payload.get("by", "somebody")), str(payload.get("reason", "no reason was given"))
         with self._lock:
             self._standing = self._standing or Latch(by, reason, time.time())
         # a directory that fails must not keep a device from stopping

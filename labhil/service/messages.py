@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
+from labhil.bus.incoming import SetpointMessage, parse, validate
 from labhil.documents import parse_json
-from labhil.errors import CommandRefusedError
 from labhil.rig import Interlock, Limit
 
 WATCHDOG = 0.22
@@ -44,7 +44,8 @@ class HostConfig:
     """What a host needs to know; one line of JSON on its standard input.
 
     ``connect`` is the endpoint of a bus session to join; ``watchdog`` is in s of the host's clock;
-    ``reconnect`` lets it look for a device that it has lost.
+    ``reconnect`` lets it look for a device that it has lost; a ``patient`` one looks for as long as it lasts,
+    and for a device that is not there at the start, too.
     """
 
     device: str
@@ -55,6 +56,7 @@ class HostConfig:
     watchdog: float = WATCHDOG
     interlocks: Mapping[str, Interlock] = field(default_factory=dict)
     reconnect: bool = False
+    patient: bool = False
 
     def to_line(self) -> str:
         """Return the configuration as one line."""
@@ -68,6 +70,7 @@ class HostConfig:
             "watchdog": self.watchdog,
             "interlocks": {name: lock.model_dump() for name, lock in self.interlocks.items()},
             "reconnect": self.reconnect,
+            "patient": self.patient,
         }
         return json.dumps(data) + "\n"
 
@@ -85,7 +88,11 @@ class HostConfig:
             float(data["watchdog"]),
             {name: Interlock.model_validate(lock) for name, lock in data["interlocks"].items()},
             bool(data["reconnect"]),
+            bool(data.get("patient", False)),
         )
+
+
+A_SETPOINT = 'a setpoint is {"token", "t_ns", "values": {name: number}}'
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,24 +119,14 @@ class Setpoint:
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Setpoint:
         """Read plain data; CommandRefusedError when something is missing or is not what it should be."""
-        try:
-            values = {str(name): float(value) for name, value in data["values"].items()}
-            t_hw_ns = data.get("t_hw_ns")
-            return cls(
-                str(data["token"]), int(data["t_ns"]), values, None if t_hw_ns is None else int(t_hw_ns)
-            )
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise CommandRefusedError(
-                f'a setpoint is {{"token", "t_ns", "values": {{name: number}}}}; {error!r} in {data!r}'
-            ) from error
+        return cls.of(validate(SetpointMessage, data, A_SETPOINT))
 
     @classmethod
     def from_bytes(cls, payload: bytes) -> Setpoint:
         """Read what :meth:`to_bytes` wrote; CommandRefusedError when that is not what it is."""
-        try:
-            data = parse_json(payload)
-        except ValueError as error:
-            raise CommandRefusedError(f"a setpoint is JSON, found {payload[:40]!r}") from error
-        if not isinstance(data, dict):
-            raise CommandRefusedError(f"a setpoint is a JSON object, found {payload[:40]!r}")
-        return cls.from_json(data)
+        return cls.of(parse(SetpointMessage, payload, A_SETPOINT))
+
+    @classmethod
+    def of(cls, message: SetpointMessage) -> Setpoint:
+        """Take over what was read already."""
+        return cls(message.token, message.t_ns, message.values, message.t_hw_ns)

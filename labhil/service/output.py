@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 from labhil.driver import Driver, TimedDriver
+from labhil.host_clock import unix_ns
 from labhil.rig import Limit
 from labhil.service.declared import safe_values
 from labhil.service.limits import CommandLimits
@@ -39,7 +39,7 @@ class Output:
         self._safe = safe_values(driver.spec)
         self._sample_period = 1 / (driver.spec.stream.rate * speed)
         self.limits = CommandLimits(driver.spec.commands, limits)
-        self.clock = Clock(0, time.time_ns())
+        self.clock = Clock(0, unix_ns())
         self.requested, self.applied = dict(self._safe), dict(self._safe)
         self.unheard = 0.0
         self.sent_at = 0.0
@@ -89,7 +89,7 @@ class Output:
         return self._timed is not None and self._timed.recovers()
 
     def _row(self) -> Batch:
-        t_ns = time.time_ns()
+        t_ns = unix_ns()
         row = [
             values.get(column, math.nan)
             for signal in self._driver.spec.commands

@@ -11,7 +11,7 @@ import time
 from dataclasses import dataclass
 
 from labhil.driver import DeviceInfo, Driver
-from labhil.errors import DeviceError, ProtocolError
+from labhil.errors import BusError, DeviceError, LabhilError, ProtocolError
 from labhil.signals import Batch
 
 FIRST_WAIT = 0.1
@@ -23,12 +23,12 @@ GIVE_UP = 60.0
 
 
 class Search:
-    """Connects again and again, until it works or ``GIVE_UP`` s have passed. One use each."""
+    """Connects again and again, until it works or ``give_up`` s have passed. One use each."""
 
-    def __init__(self, driver: Driver) -> None:
-        self._driver = driver
+    def __init__(self, driver: Driver, give_up: float = GIVE_UP) -> None:
+        self._driver, self._give_up = driver, give_up
         self._found: DeviceInfo | None = None
-        self._error: DeviceError | None = None
+        self._error: LabhilError | None = None
         self._over = threading.Event()
         self._cancelled = threading.Event()
         # a driver that hangs while it connects must not keep its host from ending
@@ -48,7 +48,16 @@ class Search:
         self._cancelled.set()
 
     def _run(self) -> None:
-        deadline, wait = time.monotonic() + GIVE_UP, FIRST_WAIT
+        try:
+            self._look()
+        except Exception as error:  # noqa: BLE001 - whoever waits for a search has to hear how it ended
+            self._error = (
+                error if isinstance(error, LabhilError) else BusError(f"the search failed: {error!r}")
+            )
+        self._over.set()
+
+    def _look(self) -> None:
+        deadline, wait = time.monotonic() + self._give_up, FIRST_WAIT
         self._driver.close()
         while not self._cancelled.wait(wait):
             try:
@@ -59,7 +68,6 @@ class Search:
                     self._error = error
                     break
             wait = min(2 * wait, LONGEST_WAIT)
-        self._over.set()
 
 
 def refuse_another(address: str, before: DeviceInfo, now: DeviceInfo) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from labhil.codec import stamps_of
+from labhil.recording.clock import fit_clock
+from labhil.recording.clock_faults import ClockFault, clock_faults
 from labhil.recording.device_clocks import ClockWatch
 
 
@@ -27,6 +29,8 @@ class RecordedStream:
     stream: str
     number: int | None = None
     waiting: list[bytes] = field(default_factory=list)
+    size: int = 0
+    """Bytes that wait while nobody has said what they are."""
     asked_at: float = float("-inf")
     trouble: str = ""
     samples: int = 0
@@ -37,6 +41,10 @@ class RecordedStream:
     first_seq: int = 0
     last_seq: int = 0
     speed: float = 1.0
+    rate: float = 0.0
+    steady_host: bool = False
+    second: int = 1
+    """Samples in one second of the host's clock."""
     clock: ClockWatch | None = None
     """Where the device's own clock stamps the samples."""
 
@@ -44,7 +52,7 @@ class RecordedStream:
         """Count samples that were stored, and the numbers missing between them."""
         stamps = stamps_of(payloads)
         if self.clock is not None:
-            self.clock.add(stamps[:, 1], stamps[:, 2])
+            self.clock.add(stamps[:, 1], stamps[:, 2], stamps[:, 0])
         seq = stamps[:, 0].tolist()
         if self.samples == 0:
             self.first_seq, self.first_ns, self.last_seq = seq[0], int(stamps[0, 1]), seq[0] - 1
@@ -53,6 +61,18 @@ class RecordedStream:
             self.last_seq = number
         self.samples += len(payloads)
         self.last_ns = int(stamps[-1, 1])
+
+    def clock_faults(self) -> tuple[ClockFault, ...]:
+        """What is wrong with the stamps of its device's clock."""
+        if self.clock is None:
+            return ()
+        stamps = self.clock.stamps(self.rate, self.speed, steady_host=self.steady_host)
+        if len(stamps.seq) < 3:
+            return ()
+        fit = fit_clock(
+            stamps.t_hw_ns, stamps.t_acq_ns, int(stamps.t_acq_ns[0]), self.speed, stamps.keep_rate
+        )
+        return clock_faults(stamps, fit, fit.t - fit.t[0])
 
     def summary(self) -> StreamSummary:
         """What came of it."""

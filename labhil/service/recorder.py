@@ -18,14 +18,26 @@ from types import TracebackType
 from typing import Any, Self
 
 from labhil.bus.ask import ask
+from labhil.bus.authentication import Refusals
+from labhil.bus.incoming import (
+    LARGEST_SCHEMA,
+    EventMessage,
+    SchemaMessage,
+    StreamDeclaration,
+    excerpt,
+    load,
+    parse,
+    validate,
+)
 from labhil.bus.keys import ALL_SCHEMAS, ALL_STREAMS, EVENT, SETPOINT, schema_key, split_key
 from labhil.bus.session import Bus
 from labhil.bus.subscribe import subscribe
 from labhil.codec import stream_from_json
-from labhil.documents import parse_json
 from labhil.errors import BusError, CommandRefusedError, ProtocolError, RecordingFailedError
+from labhil.host_clock import unix_ns
 from labhil.recording.device_clocks import ClockWatch, DeviceClock, clocks_to_metadata
-from labhil.recording.writer import RecordingWriter
+from labhil.recording.stamps import HOST_CLOCK
+from labhil.recording.writer import RecordingWriter, media_type
 from labhil.service.recorded import RecordedStream, StreamSummary
 from labhil.signals import Direction
 
@@ -41,6 +53,11 @@ QUIET = 0.1
 LONGEST_SETTLING = 1.0
 """At the end what is still on its way is waited for: until nothing came for ``QUIET`` s, or so long."""
 
+MOST_STREAMS = 1000
+MOST_WAITING = 64 * 1024 * 1024
+"""Bytes of samples that wait until somebody says what they are: some minutes of a fast device, and no more
+than a small machine can spare."""
+
 UNEXPLAINED = (
     BusError,
     CommandRefusedError,
@@ -49,17 +66,26 @@ UNEXPLAINED = (
     AttributeError,
     TypeError,
     ValueError,
+    ArithmeticError,
 )
 """A publisher that is not known yet, or gone for good, or that says something else than what a stream is."""
 
 
+MOST_ODD_EVENTS, LONGEST_ODD_EVENT = 100, 1000
+"""How many events of a device that are none are kept as text, and how many bytes of each."""
+
+
 @dataclass(frozen=True, slots=True)
 class RecordingSummary:
-    """What was recorded: ``duration`` in s of the host's clock, from the first sample to the last."""
+    """What was recorded: ``duration`` in s of the host's clock, from the first sample to the last.
+
+    ``warnings`` say what is wrong with the stamps of the devices' clocks, a sentence each; once it has ended.
+    """
 
     path: Path
     duration: float
     streams: tuple[StreamSummary, ...]
+    warnings: tuple[str, ...] = ()
 
 
 class Recorder:
@@ -69,7 +95,8 @@ class Recorder:
     tables of strings. Raises what :class:`RecordingWriter` raises when the file cannot be made.
 
     ``failure`` tells why the recording ended early (the disk), None while all is well; ``on_failure`` is
-    called once it does, in the writer's thread.
+    called once it does, in the writer's thread. One that ``waits`` keeps events from the start, and of the
+    samples before :meth:`begin` only the newest second: devices of one run are not ready at the same time.
     """
 
     def __init__(
@@ -79,21 +106,27 @@ class Recorder:
         *,
         attachments: Mapping[str, bytes] | None = None,
         metadata: Mapping[str, Mapping[str, str]] | None = None,
+        waits: bool = False,
         on_failure: Callable[[], object] = lambda: None,
     ) -> None:
+        self._waits = waits
         self.failure: RecordingFailedError | None = None
+        self._deaf: RecordingFailedError | None = None
         self._on_failure = on_failure
         self._bus = bus
         self._channels: dict[str, RecordedStream] = {}
         self._told: dict[tuple[str, str], bytes] = {}
+        self._refusals = Refusals(self._note)
+        self._waiting = 0
         self._queue: queue.SimpleQueue[tuple[str, list[bytes]] | None] = queue.SimpleQueue()
         self._arrived_at = time.monotonic()
         self._status_at = time.monotonic()
         self._writer = RecordingWriter(path)
         self._finished = False
+        self._warnings: tuple[str, ...] = ()
         try:
             for name, data in (attachments or {}).items():
-                self._writer.attach(name, _media_type(name), data)
+                self._writer.attach(name, media_type(name), data)
             for name, table in (metadata or {}).items():
                 self._writer.metadata(name, table)
             self._writer.flush()
@@ -101,9 +134,15 @@ class Recorder:
             self._subscription = subscribe(bus, ALL_STREAMS, self._receive)
         except BaseException:
             self._writer.abandon()
+            for begun in (self._writer.path, self._writer.part):
+                begun.unlink(missing_ok=True)  # nothing is in it, and it would look like a recording
             raise
         self._thread = threading.Thread(target=self._run, name=f"record {path.name}")
         self._thread.start()
+
+    def begin(self) -> None:
+        """Keep all samples from now on."""
+        self._waits = False
 
     def finish(self, exit_status: str = "done", reason: str = "") -> RecordingSummary:
         """Take in what is still on its way, end the file and give it its name; safe to call twice.
@@ -114,6 +153,7 @@ class Recorder:
             self._finished = True
             self._stop()
             self._guarded(self._write_rest, exit_status, reason)
+            self.failure = self.failure or self._deaf
         if self.failure is not None:
             raise self.failure
         return self.summary()
@@ -124,7 +164,7 @@ class Recorder:
         ends = [(channel.first_ns, channel.last_ns) for channel in channels]
         duration = (max(end for _, end in ends) - min(start for start, _ in ends)) * 1e-9 if ends else 0.0
         streams = tuple(channel.summary() for channel in channels)
-        return RecordingSummary(self._writer.path, duration, streams)
+        return RecordingSummary(self._writer.path, duration, streams, self._warnings)
 
     def __enter__(self) -> Self:
         return self
@@ -147,7 +187,20 @@ class Recorder:
         self._queue.put((key, payloads))
 
     def _receive_schema(self, key: str, payloads: list[bytes]) -> None:
-        self._told[split_key(key)] = payloads[-1]
+        place = split_key(key)
+        if place in self._told or len(self._told) < MOST_STREAMS:
+            self._told[place] = payloads[-1]
+
+    def check(self) -> None:
+        """Raise RecordingFailedError when nothing is recorded any more, whatever the reason."""
+        if self.failure is None and not self._finished:
+            deaf = self._subscription.failure() or self._schemas.failure()
+            if deaf or not self._thread.is_alive():
+                why = deaf or "its thread has died"
+                self._deaf = RecordingFailedError(f"{self._writer.path}: the recorder failed: {why}")
+                raise self._deaf
+        if self.failure is not None:
+            raise self.failure
 
     def _stop(self) -> None:
         deadline = time.monotonic() + LONGEST_SETTLING
@@ -188,11 +241,41 @@ class Recorder:
         device, stream = split_key(key)
         if stream == EVENT:
             for payload in payloads:
-                self._writer.event(device, *_event(payload))
+                self._take_event(key, device, payload)
         elif stream != SETPOINT:
+            if key not in self._channels and len(self._channels) >= MOST_STREAMS:
+                self._refusals.note(
+                    "new streams", f"there are {MOST_STREAMS} already; {key[:200]} is left out"
+                )
+                return
             channel = self._channels.setdefault(key, RecordedStream(device, stream))
-            channel.waiting.extend(payloads)
+            self._keep_waiting(key, channel, payloads)
             self._store(channel)
+
+    def _keep_waiting(self, key: str, channel: RecordedStream, payloads: list[bytes]) -> None:
+        """Let samples wait until it is known what they are, as long as there is room."""
+        size = sum(map(len, payloads))
+        if channel.number is None:
+            if self._waiting + size > MOST_WAITING:
+                channel.refused += len(payloads)
+                self._refusals.note(key, f"{len(payloads)} samples that nobody explains are left out")
+                return
+            self._waiting += size
+            channel.size += size
+        channel.waiting.extend(payloads)
+
+    def _take_event(self, key: str, device: str, payload: bytes) -> None:
+        """Store an event; of one that is none the beginning is kept as text."""
+        try:
+            t_ns = parse(EventMessage, payload, "an event").t_ns
+            body = load(payload, "an event")
+        except CommandRefusedError as error:
+            self._refusals.note(key, str(error))
+            if self._refusals.counts[key] <= MOST_ODD_EVENTS:
+                text = payload[:LONGEST_ODD_EVENT].decode("utf-8", "replace")
+                self._writer.event(device, unix_ns(), {"text": text})
+            return
+        self._writer.event(device, t_ns, body)
 
     def _tick(self) -> None:
         for channel in self._channels.values():
@@ -208,7 +291,12 @@ class Recorder:
             self._learn(channel)
         if channel.number is None:
             return
+        if self._waits:
+            del channel.waiting[: -channel.second]
+            return
         payloads, channel.waiting = channel.waiting, []
+        self._waiting -= channel.size
+        channel.size = 0
         try:
             self._writer.write(channel.number, payloads)
             channel.count(payloads)
@@ -232,35 +320,36 @@ class Recorder:
             reply = self._schema_of(channel)
             if reply is None:
                 return
-            stream = stream_from_json(reply["stream"])
-            told = {str(name): str(value) for name, value in reply["metadata"].items()}
-            channel.speed = float(told.get("speed", "1"))
+            parse(StreamDeclaration, reply.stream, "a stream", LARGEST_SCHEMA)
+            stream = stream_from_json(reply.stream)
+            told = dict(reply.metadata)
+            speed = float(told.get("speed", "1"))
+            if not 0 < speed < float("inf"):
+                raise ProtocolError(f"speed: expected a positive number, found {excerpt(told['speed'])}")
+            channel.speed = speed
+            channel.rate, channel.steady_host = stream.rate, HOST_CLOCK in told
+            channel.second = max(1, round(stream.rate * channel.speed))
             if any(signal.direction is not Direction.REQUESTED for signal in stream.signals):
                 channel.clock = ClockWatch()
             channel.number = self._writer.add_stream(channel.device, stream, told)
-        except (
-            BusError,
-            CommandRefusedError,
-            ProtocolError,
-            LookupError,
-            AttributeError,
-            ValueError,
-        ) as error:
+        except UNEXPLAINED as error:
             # its publisher may not be known here yet, or gone for good
             channel.trouble = str(error)
 
-    def _schema_of(self, channel: RecordedStream) -> dict[str, Any] | None:
-        told = self._told.get((channel.device, channel.stream))
+    def _schema_of(self, channel: RecordedStream) -> SchemaMessage | None:
+        # what somebody said once is looked at once: the publisher itself may still be asked
+        told = self._told.pop((channel.device, channel.stream), None)
         if told is not None:
-            return dict(parse_json(told))
+            return parse(SchemaMessage, told, "a schema", LARGEST_SCHEMA)
         if time.monotonic() < channel.asked_at + SCHEMA_INTERVAL:
             return None
         channel.asked_at = time.monotonic()
-        return ask(self._bus, schema_key(channel.device, channel.stream), timeout=SCHEMA_TIMEOUT)
+        key = schema_key(channel.device, channel.stream)
+        return validate(SchemaMessage, ask(self._bus, key, timeout=SCHEMA_TIMEOUT), "a schema")
 
     def _write_status(self) -> None:
         self._status_at = time.monotonic() + STATUS_INTERVAL
-        now = time.time_ns()
+        now = unix_ns()
         streams = {
             f"/{channel.device}/{channel.stream}": {
                 "received": channel.samples,
@@ -277,6 +366,7 @@ class Recorder:
 
     def _write_rest(self, exit_status: str, reason: str) -> None:
         """The last status, what nobody explained, and the end of the file."""
+        self._waits = False
         for channel in self._channels.values():
             channel.asked_at = float("-inf")
             if channel.waiting:
@@ -284,6 +374,13 @@ class Recorder:
             if channel.waiting:
                 self._keep_unexplained(channel)
         self._write_status()
+        self._warnings = tuple(
+            f"{channel.device}/{channel.stream}: {fault.statement}"
+            for channel in self._channels.values()
+            for fault in channel.clock_faults()
+        )
+        for warning in self._warnings:
+            self._note(warning)
         for name, table in clocks_to_metadata(self._clocks()).items():
             self._writer.metadata(name, table)
         self._writer.finish(exit_status, reason)
@@ -307,19 +404,4 @@ class Recorder:
         )
 
     def _note(self, text: str) -> None:
-        self._writer.event("recorder", time.time_ns(), {"text": text})
-
-
-def _event(payload: bytes) -> tuple[int, dict[str, Any]]:
-    """The time and the body of an event; one that is no JSON is kept as text."""
-    try:
-        body = parse_json(payload)
-        t_ns = int(body["t_ns"])
-    except (ValueError, KeyError, TypeError):
-        return time.time_ns(), {"text": payload.decode("utf-8", "replace")}
-    return t_ns, body
-
-
-def _media_type(name: str) -> str:
-    types = {".toml": "application/toml", ".json": "application/json", ".txt": "text/plain"}
-    return types.get(Path(name).suffix, "application/octet-stream")
+        self._writer.event("recorder", unix_ns(), {"text": text})

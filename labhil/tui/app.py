@@ -15,9 +15,20 @@ from textual.app import App, ComposeResult, SystemCommand
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal
 from textual.events import Event, Key
+from textual.markup import escape
+from textual.notifications import SeverityLevel
 from textual.screen import Screen
 from textual.widget import Widget
-from textual.widgets import DataTable, Footer, OptionList, SelectionList, Static, TabbedContent, TabPane
+from textual.widgets import (
+    DataTable,
+    Footer,
+    HelpPanel,
+    OptionList,
+    SelectionList,
+    Static,
+    TabbedContent,
+    TabPane,
+)
 
 from labhil.bus.latch import Latch
 from labhil.campaign.studies.jobs import Jobs
@@ -73,7 +84,7 @@ class LabApp(App[None]):
         ),
         Binding("f9", "release", "Release", id="lab.release", priority=True, tooltip="Allow runs again"),
         Binding("ctrl+t", "toggle_theme", "Light/dark", id="app.theme", show=False),
-        Binding("question_mark", "show_help_panel", "Keys", id="app.keys", tooltip="All keys of this screen"),
+        Binding("question_mark", "keys", "Keys", id="app.keys", tooltip="All keys of this screen, and back"),
         Binding("q", "leave", "Quit", id="app.quit", tooltip="Quit; a run is ended in order first"),
         Binding("ctrl+q,ctrl+c", "leave", "Quit", id="app.quit.too", show=False, priority=True),
     ]
@@ -134,7 +145,7 @@ class LabApp(App[None]):
         self.close_everything()
 
     def close_everything(self) -> None:
-        """End the run in order, and all work. Safe twice."""
+        """End the run, and all work. Safe twice; a run that nobody asked to stop has failed."""
         self.runner.close()
         self.jobs.close()
 
@@ -148,6 +159,18 @@ class LabApp(App[None]):
             self.action_stop_all()
             return
         await super().on_event(event)
+
+    def notify(
+        self,
+        message: str,
+        *,
+        title: str = "",
+        severity: SeverityLevel = "information",
+        timeout: float | None = None,
+        markup: bool = False,
+    ) -> None:
+        """Show a message; what a device, a file or the bus says in it is no markup."""
+        super().notify(message, title=title, severity=severity, timeout=timeout, markup=markup)
 
     # what is shown
 
@@ -170,7 +193,14 @@ class LabApp(App[None]):
         if self.standing and self.tab == "live" and len(self.screen_stack) == 1 and self._pace.due():
             self.base.query_one(LivePane).draw()
 
+    def _end_unseen_run(self) -> None:
+        """End the run of this screen where the screen no longer sees what its devices do."""
+        blind = self.lab.failure() if self.runner.active and self.runner.state != "aborting" else ""
+        if blind:
+            self.runner.ask("abort", f"the terminal UI no longer sees the devices: {blind}"[:200])
+
     def _show_facts(self) -> None:
+        self._end_unseen_run()
         if not self.standing:
             return
         self._look_at_latch()
@@ -427,6 +457,13 @@ class LabApp(App[None]):
         self.runner.ask("stop", "the terminal UI is quit")
         self.notify("Stopping the run …", timeout=30)
 
+    def action_keys(self) -> None:
+        """Show all keys of the screen in front, or put them away again."""
+        if self.screen.query(HelpPanel):
+            self.action_hide_help_panel()
+        else:
+            self.action_show_help_panel()
+
     def action_toggle_theme(self) -> None:
         """From dark to light, and back."""
         self.theme = LIGHT.name if self.theme == DARK.name else DARK.name
@@ -434,5 +471,6 @@ class LabApp(App[None]):
     # the command palette
 
     def get_system_commands(self, screen: Screen[Any]) -> Iterable[SystemCommand]:
-        """Only what makes sense now."""
-        return commands(self, self.base.query_one(ExperimentPane))
+        """Only what makes sense now; names of files and experiments in it are no markup."""
+        for name, about, action, *_ in commands(self, self.base.query_one(ExperimentPane)):
+            yield SystemCommand(escape(name), escape(about), action)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from datetime import datetime
 
 from rich.console import Group
-from rich.table import Table
 from rich.text import Text
 from textual.app import ComposeResult
 from textual.containers import Container, Vertical, VerticalScroll
@@ -13,7 +12,16 @@ from textual.widgets import DataTable, Static
 
 from labhil.tui.lab import Lab
 from labhil.tui.watch import DeviceView, Said
-from labhil.tui.words import NOTHING, count, device_look, duration, frequency, milliseconds
+from labhil.tui.words import (
+    NOTHING,
+    PlainTable,
+    count,
+    device_look,
+    duration,
+    frequency,
+    milliseconds,
+    plain_grid,
+)
 
 COLUMNS = (
     ("device", 10),
@@ -119,7 +127,7 @@ class DevicesPane(Vertical):
 
     def _readings(self, view: DeviceView, told: list[tuple[str, str]]) -> Group:
         colours = self.app.theme_variables
-        known = Table.grid(padding=(0, 2, 0, 0))
+        known = plain_grid()
         known.add_column(style=colours["muted"], no_wrap=True)
         known.add_column()
         for name, value in told:
@@ -130,7 +138,7 @@ class DevicesPane(Vertical):
             return Group(known)
         return Group(*self._values(view), Text(), known)
 
-    def _values(self, view: DeviceView) -> tuple[Text, Table]:
+    def _values(self, view: DeviceView) -> tuple[Text, PlainTable]:
         """What it reads: as live only what is."""
         assert view.stream is not None
         colours = self.app.theme_variables
@@ -141,7 +149,7 @@ class DevicesPane(Vertical):
             title.append(f"  ◌ last known, {age} ago", style=colours["warning"])
         else:
             title.append("  ▶ now", style=colours["success"])
-        table = Table.grid(padding=(0, 2, 0, 0))
+        table = plain_grid()
         table.add_column(style=colours["muted"], no_wrap=True)
         table.add_column(justify="right", no_wrap=True)
         table.add_column(no_wrap=True)

@@ -59,7 +59,7 @@ class Choose(ModalScreen[str | None]):
         """The list."""
         with Vertical(classes="dialog"):
             yield Static(self._title, markup=False)
-            yield OptionList(*[Option(shown, id=key) for key, shown in self._choices])
+            yield OptionList(*[Option(shown, id=key) for key, shown in self._choices], markup=False)
             yield Static("Enter chooses, Escape leaves", classes="dialog-note")
 
     def on_option_list_option_selected(self, event: OptionList.OptionSelected) -> None:

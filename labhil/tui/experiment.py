@@ -66,7 +66,7 @@ class ExperimentPane(Vertical):
     def compose(self) -> ComposeResult:
         """The parts, from the choice to the log."""
         with Container(id="experiment-choice"):
-            yield OptionList(id="experiment-list")
+            yield OptionList(id="experiment-list", markup=False)
             with VerticalScroll(id="plan-scroll"):
                 yield Static(id="plan")
         with Horizontal(id="run-line"):

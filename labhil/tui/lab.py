@@ -117,6 +117,12 @@ class Lab:
         """What was wrong last with what came in; empty where nothing was."""
         return "; ".join(watch.trouble for watch in self.watches.values() if watch.trouble)
 
+    def failure(self) -> str:
+        """Return why what is shown is news no more; empty while all is well."""
+        if self._thread.ident is not None and not self._ending.is_set() and not self._thread.is_alive():
+            return "the thread that looks for devices has died"
+        return next((why for watch in self.watches.values() if (why := watch.failure())), "")
+
     @property
     def latch(self) -> Latch | None:
         """The emergency stop, whoever pressed it; None where none stands. One that cannot be read stands."""

@@ -8,6 +8,7 @@ from rich.text import Text
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical, VerticalScroll
+from textual.content import Content
 from textual.widgets import SelectionList, Static
 from textual.widgets.selection_list import Selection
 
@@ -67,6 +68,8 @@ class LivePane(Horizontal):
 
     def refresh_list(self) -> None:
         """Take up signals that appeared, and drop those that are gone."""
+        if self.frozen:
+            return  # what is held is held, whatever comes and goes meanwhile
         places = {place.key: place for place in self._lab.places()}
         if places.keys() == self._places.keys():
             return
@@ -79,7 +82,7 @@ class LivePane(Horizontal):
         chosen |= {place.key for place in _first_choice(new)}
         for key, place in places.items():
             name = f"{place.device} {place.signal.name}" if several else place.signal.name
-            listed.add_option(Selection(f"{name}, {place.signal.unit}", key, key in chosen))
+            listed.add_option(Selection(Content(f"{name}, {place.signal.unit}"), key, key in chosen))
         self.call_after_refresh(self._choose)
 
     def on_selection_list_selected_changed(self, _event: SelectionList.SelectedChanged[str]) -> None:
@@ -104,7 +107,9 @@ class LivePane(Horizontal):
             return
         now_ns = labs.clock_ns()
         for number, (key, chart) in enumerate(self._charts.items()):
-            self._draw_one(chart, self._places[key], now_ns, number)
+            place = self._places.get(key)  # a signal that has just gone has its chart until the next layout
+            if place is not None and chart.is_attached:
+                self._draw_one(chart, place, now_ns, number)
 
     def _draw_one(self, chart: Chart, place: Place, now_ns: int, number: int) -> None:
         watched = self._lab.stream(place)
@@ -168,6 +173,7 @@ class LivePane(Horizontal):
     def action_freeze(self) -> None:
         """Hold the picture, or go on."""
         self.frozen = not self.frozen
+        self.refresh_list()
         self.draw()
 
     def action_window(self, change: int) -> None:

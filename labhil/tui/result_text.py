@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from rich.console import Group, RenderableType
-from rich.table import Table
 from rich.text import Text
 
 from labhil.physics.terms import keyed, listed
@@ -22,7 +21,8 @@ from labhil.report.html.schema import (
     RivalPart,
     ScorePart,
 )
-from labhil.report.verdicts import VERDICTS
+from labhil.report.verdicts import FIT_VERDICTS, VERDICTS
+from labhil.tui.words import PlainTable
 
 Colours = dict[str, str]
 
@@ -46,7 +46,8 @@ def headline(part: FitPart | DiagnosisPart) -> str:
     if isinstance(part, FitPart):
         score = part.test or part.train
         on = "on test data" if part.test is not None else "on what it was fitted to"
-        return f"R² {percent(score.r2)} {on}, {len(part.parameters)} parameters"
+        found = f"R² {percent(score.r2)} {on}, {len(part.parameters)} parameters"
+        return found if part.verdict in (None, "explained") else f"{FIT_VERDICTS[part.verdict]}; {found}"
     found = ", ".join(keyed(item.term, item.joint) for item in part.missing)
     return found or VERDICTS[part.verdict].rstrip(".")
 
@@ -56,6 +57,11 @@ def fit_text(fit: FitPart, colours: Colours) -> RenderableType:
     score = fit.test or fit.train
     on = "data it has not seen" if fit.test is not None else "the data it was fitted to"
     head = Text()
+    if fit.statement is not None:
+        colour = colours["success" if fit.verdict == "explained" else "warning"]
+        head.append(f"{fit.statement}\n", style=f"bold {colour}")
+    for doubt in fit.doubts:
+        head.append(f"▲ {doubt}\n", style=colours["warning"])
     head.append(f"R² {percent(score.r2)}", style=f"bold {colours['success']}")
     head.append(f" on {on}\n")
     head.append(
@@ -65,7 +71,7 @@ def fit_text(fit: FitPart, colours: Colours) -> RenderableType:
     parts: list[RenderableType] = [
         head,
         _title("Parameters", colours),
-        parameter_table(fit.parameters, colours),
+        parameter_table(fit.judged_rows, colours),
     ]
     if fit.identifiability.rank < fit.identifiability.of:
         parts.append(_identifiability(fit, colours))
@@ -77,9 +83,9 @@ def _title(text: str, colours: Colours) -> Text:
     return Text(f"\n{text}", style=f"bold {colours['primary']}")
 
 
-def parameter_table(rows: Sequence[ParameterRow], colours: Colours) -> Table:
+def parameter_table(rows: Sequence[ParameterRow], colours: Colours) -> PlainTable:
     """One row per parameter; a word says what cannot be relied on."""
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style=colours["muted"])
+    table = PlainTable(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style=colours["muted"])
     # where room is short the name is what is cut: the one column that may be wrapped is made narrow first
     table.add_column("parameter", overflow="ellipsis", min_width=20, max_width=38)
     table.add_column("value", justify="right", no_wrap=True)
@@ -115,7 +121,7 @@ def _identifiability(fit: FitPart, colours: Colours) -> Text:
     return text.append(".")
 
 
-def _scores(fit: FitPart) -> Table:
+def _scores(fit: FitPart) -> PlainTable:
     table = _plain_table(("data", "channel"), ("RMSE", "noise floor", "R²"))
     for name, score in (("fitted", fit.train), ("test", fit.test)):
         for row in _rows_of(score):
@@ -133,8 +139,8 @@ def _rows_of(score: ScorePart | None) -> Sequence[ChannelErrors]:
     return () if score is None else score.per_channel
 
 
-def _plain_table(words: Sequence[str], numbers: Sequence[str]) -> Table:
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
+def _plain_table(words: Sequence[str], numbers: Sequence[str]) -> PlainTable:
+    table = PlainTable(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
     for name in words:
         table.add_column(name, no_wrap=True)
     for name in numbers:
@@ -208,7 +214,7 @@ def _missing(item: MissingPart, rivals: Sequence[RivalPart], colours: Colours) -
     return text
 
 
-def _changed(found: DiagnosisPart) -> Table:
+def _changed(found: DiagnosisPart) -> PlainTable:
     table = _plain_table(("parameter",), ("before", "after", "99 % interval", "p"))
     for change in found.changed:
         table.add_row(

@@ -2,8 +2,8 @@
 
 ``python -m labhil.tui.running`` is told ``{"experiment": path, "out": folder}`` first, then ``{"do":
 "pause" | "resume" | "stop" | "abort", "reason": …}``. It says its progress ten times a second, what it
-refuses, and at the end its result. When its standard input ends it stops the run in order: devices
-safe, recording complete.
+refuses, and at the end its result. When its standard input ends without a word before, whoever started the
+run has crashed or was killed: the run is aborted, devices safe, recording complete, exit status 1.
 """
 
 from __future__ import annotations
@@ -40,9 +40,11 @@ def obey(control: RunControl, line: dict[str, Any]) -> None:
 
 
 def end(control: RunControl) -> None:
-    """End the run in order, in whatever state it is."""
+    """Abort the run, in whatever state it is: nobody watches it any more."""
+    if control.is_to_end():
+        return  # it was asked to end before
     try:
-        control.stop(GONE)
+        control.abort(GONE)
     except CommandRefusedError:
         return  # it is ending already
 

@@ -51,13 +51,16 @@ def round_step(step: float) -> float:
 
 
 def limits_of(values: Sequence[FloatArray]) -> Limits:
-    """Round limits around all finite values, with a little room; (−1, 1) where there are none."""
+    """Round limits around all finite values, with a little room; (−1, 1) where there are none.
+
+    A constant stands in the middle of an axis as wide as itself: nothing tells what a small change would be.
+    """
     finite = [v[np.isfinite(v)] for v in values]
     finite = [v for v in finite if len(v)]
     if not finite:
         return -1.0, 1.0
     low, high = min(float(v.min()) for v in finite), max(float(v.max()) for v in finite)
     middle, half = (low + high) / 2, (high - low) / 2
-    half = max(half * 1.05, abs(middle) * 1e-6, 1e-12)
+    half = half * 1.05 if half > abs(middle) * 1e-9 else abs(middle) or 1.0
     step = round_step(half / 2.5)
     return math.floor((middle - half) / step) * step, math.ceil((middle + half) / step) * step

@@ -13,18 +13,27 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
 from labhil.bus.ask import ask
+from labhil.bus.incoming import (
+    LARGEST_SCHEMA,
+    EventMessage,
+    SchemaMessage,
+    StreamDeclaration,
+    parse,
+    validate,
+)
 from labhil.bus.keys import ALL_SCHEMAS, ALL_STREAMS, EVENT, SETPOINT, command_key, schema_key, split_key
 from labhil.bus.live import live_devices
 from labhil.bus.session import Bus
 from labhil.bus.subscribe import subscribe
 from labhil.codec import Codec, stream_from_json
-from labhil.documents import parse_json
 from labhil.errors import BusError, CommandRefusedError, ProtocolError
+from labhil.host_clock import steady_ns
+from labhil.recording.stamps import HOST_CLOCK
 from labhil.signals import FloatArray, Signal, Stream
 from labhil.tui.ring import Ring
 
@@ -42,7 +51,16 @@ ASK_TIMEOUT = 0.5
 MOST_ROWS = 65536
 MOST_EVENTS = 200
 
-UNEXPLAINED = (ProtocolError, LookupError, AttributeError, TypeError, ValueError)
+MOST_DEVICES = 1000
+UNEXPLAINED = (
+    ProtocolError,
+    CommandRefusedError,
+    LookupError,
+    AttributeError,
+    TypeError,
+    ValueError,
+    ArithmeticError,
+)
 """A stream that is not what it says must not hide the others."""
 
 COMMAND_STREAM = "command"
@@ -113,6 +131,15 @@ class StreamWatch:
         rows = round(self.stream.rate * self.speed * KEPT * 1.1)
         self.ring = Ring(self.stream.width, min(max(rows, 1024), MOST_ROWS))
 
+    @property
+    def ahead_ns(self) -> int:
+        """By how much the clock that stamps the samples is ahead of this machine's wall clock, ns.
+
+        The wall clock may have been set since the session of the device began, its clock not.
+        """
+        offset = self.metadata.get(HOST_CLOCK)
+        return 0 if offset is None else steady_ns() + int(offset) - time.time_ns()
+
     def take(self, payloads: list[bytes], now: float, now_ns: int) -> None:
         """Take messages in."""
         batch = self.codec.decode(payloads)
@@ -122,7 +149,7 @@ class StreamWatch:
         self.last_seq = int(seq[-1])
         self.received += len(batch)
         self.arrived_at = now
-        self.transits.append((now, (now_ns - int(batch.t_acq_ns[-1])) * 1e-9))
+        self.transits.append((now, (now_ns + self.ahead_ns - int(batch.t_acq_ns[-1])) * 1e-9))
         self.ring.append(batch)
 
     def beat(self, now: float) -> Beat:
@@ -173,7 +200,7 @@ class Watch:
         with ExitStack() as resources:
             resources.enter_context(subscribe(self.bus, ALL_SCHEMAS, self._take_schemas))
             resources.enter_context(subscribe(self.bus, ALL_STREAMS, self._take))
-            asking = threading.Thread(target=self._ask_around, name="ask devices")
+            self._asking = asking = threading.Thread(target=self._ask_around, name="ask devices")
             asking.start()
             resources.callback(asking.join)
             resources.callback(self._ending.set)
@@ -210,6 +237,12 @@ class Watch:
             found = self._devices.get(device)
             return None if found is None else found.streams.get(stream)
 
+    def failure(self) -> str:
+        """Return why what is shown is news no more, though nobody closed this; empty while all is well."""
+        if not self._ending.is_set() and not self._asking.is_alive():
+            return "the thread that asks the devices has died"
+        return self.bus.failure()
+
     @property
     def alive(self) -> bool:
         """Whether any host is there."""
@@ -220,7 +253,7 @@ class Watch:
 
     def _take_schemas(self, key: str, payloads: list[bytes]) -> None:
         try:
-            self._learn(*split_key(key), parse_json(payloads[-1]))
+            self._learn(*split_key(key), parse(SchemaMessage, payloads[-1], "a schema", LARGEST_SCHEMA))
         except UNEXPLAINED as error:
             self.trouble = f"{key}: {error}"
 
@@ -233,36 +266,44 @@ class Watch:
             watched = self.stream(device, stream)
             if watched is None:
                 with self._lock:
-                    self._unknown.setdefault((device, stream), float("-inf"))
+                    if len(self._unknown) < MOST_DEVICES:
+                        self._unknown.setdefault((device, stream), float("-inf"))
                 return
             try:
                 watched.take(payloads, time.monotonic(), time.time_ns())
             except UNEXPLAINED as error:
                 self.trouble = f"{key}: {error}"
 
-    def _learn(self, device: str, stream: str, reply: Mapping[str, Any]) -> None:
-        metadata = {str(name): str(value) for name, value in reply["metadata"].items()}
-        watched = StreamWatch(stream_from_json(reply["stream"]), float(metadata.get("speed", 1.0)), metadata)
+    def _learn(self, device: str, stream: str, reply: SchemaMessage) -> None:
+        parse(StreamDeclaration, reply.stream, "a stream", LARGEST_SCHEMA)
+        metadata = dict(reply.metadata)
+        speed = float(metadata.get("speed", 1.0))
+        if not 0 < speed < float("inf"):
+            raise ProtocolError(f"speed: expected a positive number, found {speed}")
+        watched = StreamWatch(stream_from_json(reply.stream), speed, metadata)
         with self._lock:
             self._device(device).streams[stream] = watched
             self._unknown.pop((device, stream), None)
 
     def _note(self, device: str, payload: bytes) -> None:
+        state = ""
         try:
-            body = parse_json(payload)
-            text = str(body.get("message") or body.get("reason") or body.get("text") or "")
-            said = Said(int(body["t_ns"]), device, str(body.get("kind", body.get("state", "note"))), text)
-        except (ValueError, KeyError, TypeError, AttributeError):
-            said = Said(time.time_ns(), device, "note", payload.decode("utf-8", "replace"))
-            body = {}
+            event = parse(EventMessage, payload, "an event")
+            text, state = event.message or event.reason or event.text, event.state
+            kind = state if event.kind == "note" and state else event.kind
+            said = Said(event.t_ns, device, kind, text)
+        except CommandRefusedError:
+            said = Said(time.time_ns(), device, "note", payload[:1000].decode("utf-8", "replace"))
         self.events.append(said)
         if device == "run":
             return
         with self._lock:
+            if device not in self._devices and len(self._devices) >= MOST_DEVICES:
+                return
             found = self._device(device)
             found.event = said
-            if "state" in body:
-                found.state, found.reason = str(body["state"]), said.message
+            if state:
+                found.state, found.reason = state, said.message
 
     def _device(self, name: str) -> _Device:
         return self._devices.setdefault(name, _Device())
@@ -273,7 +314,7 @@ class Watch:
         while not self._ending.wait(ASK_INTERVAL):
             try:
                 self._ask_once()
-            except BusError as error:
+            except (BusError, *UNEXPLAINED) as error:
                 self.trouble = str(error)
 
     def _ask_once(self) -> None:
@@ -295,8 +336,9 @@ class Watch:
 
     def _ask_schema(self, device: str, stream: str) -> None:
         try:
-            self._learn(device, stream, ask(self.bus, schema_key(device, stream), timeout=ASK_TIMEOUT))
-        except (BusError, CommandRefusedError, *UNEXPLAINED) as error:
+            reply = ask(self.bus, schema_key(device, stream), timeout=ASK_TIMEOUT)
+            self._learn(device, stream, validate(SchemaMessage, reply, "a schema"))
+        except (BusError, *UNEXPLAINED) as error:
             self.trouble = f"{device}/{stream}: {error}"
 
     def _ask_status(self, name: str, device: _Device) -> None:
@@ -306,7 +348,8 @@ class Watch:
             device.state, device.reason = "no answer", str(error)
             return
         device.state, device.reason = str(status.get("state", "unknown")), str(status.get("reason", ""))
-        device.holder = status.get("holder")
+        holder = status.get("holder")
+        device.holder = None if holder is None else str(holder)
 
 
 def _view(name: str, device: _Device, now: float) -> DeviceView:
@@ -333,5 +376,5 @@ def _view(name: str, device: _Device, now: float) -> DeviceView:
 def trace(watched: StreamWatch, signal: str, seconds: float, now_ns: int) -> tuple[FloatArray, FloatArray]:
     """The newest ``seconds`` of a signal: s before ``now_ns`` (n,), negative, and values (n, columns)."""
     t_acq, _, values = watched.ring.newest(seconds)
-    ago: FloatArray = (t_acq - now_ns).astype(np.float64) * 1e-9
+    ago: FloatArray = (t_acq - (now_ns + watched.ahead_ns)).astype(np.float64) * 1e-9
     return ago, values[:, watched.stream.columns_of(signal)]

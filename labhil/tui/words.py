@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
+from rich.console import RenderableType
+from rich.table import Table
 from rich.text import Text
 
 from labhil.tui.watch import DeviceView
@@ -55,6 +58,19 @@ ENDED = {
     "no end": Look("▲", "no end", "warning"),
     "unreadable": Look("✕", "unreadable", "error"),
 }
+
+
+class PlainTable(Table):
+    """A table whose cells are shown as they are: names of devices, files and signals are no markup."""
+
+    def add_row(self, *cells: RenderableType | None, **options: Any) -> None:
+        """Add a row; text is taken as it stands."""
+        super().add_row(*(Text(cell) if isinstance(cell, str) else cell for cell in cells), **options)
+
+
+def plain_grid() -> PlainTable:
+    """A table without frame and headings."""
+    return PlainTable(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
 
 
 def device_look(view: DeviceView) -> Look:

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -141,6 +142,21 @@ def test_setpoints_and_questions_are_no_streams(bus, tmp_path):
     assert recording.streams == ()
     assert not recording.attachments
     assert recording.events[0].t_ns == 5
+
+
+def test_stamps_of_a_clock_that_was_set_are_said_when_the_recording_ends(bus, tmp_path):
+    path = tmp_path / "a.mcap"
+    with Recorder(bus, path) as recorder, StreamPublisher(bus, "bench", STREAM, {}) as publisher:
+        publisher.put(batch(0, 500))
+        late = batch(500, 500)
+        publisher.put(replace(late, t_acq_ns=late.t_acq_ns - 500_000_000))
+        wait_until(lambda: samples(recorder) == {"bench": 1000})
+        summary = recorder.finish()
+    (warning,) = summary.warnings
+    assert "bench/state: the host's stamps jump by −0.5 s at 5 s" in warning
+    recording = read_recording(path)
+    assert warning in [event.body.get("text") for event in recording.events]
+    assert [line.removeprefix(f"{path}: ") for line in recording.losses()] == [warning]
 
 
 def test_an_error_in_the_run_still_ends_the_file(bus, tmp_path):

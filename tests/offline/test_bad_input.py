@@ -178,7 +178,7 @@ def test_a_recording_without_the_rigs_signals_is_told_what_it_has(
     recorded(tmp_path / "other.mcap", names, 400, GOOD_RIG)
     message = labhil(command, "other.mcap").refused()
     assert "needs ball_position and servo_angle or beam_angle" in message
-    assert f"found bench/state: {', '.join(names)}" in message
+    assert f"found /bench/state: {', '.join(names)}" in message
 
 
 @pytest.mark.parametrize("command", ["fit", "diagnose"])

@@ -78,6 +78,34 @@ def test_a_recording_of_another_program_is_told(labhil, tmp_path: Path, case: st
     assert sorted(path.name for path in tmp_path.iterdir()) == ["rig.toml", "theirs.mcap"]
 
 
+def test_what_is_in_a_file_of_others_is_told_with_what_was_expected(labhil, tmp_path: Path) -> None:
+    (tmp_path / "rig.toml").write_text(RIG)
+    for encoding, hint in (("json", ""), ("cdr", "a ROS 2 bag becomes a recording with `labhil import`")):
+        foreign(tmp_path / "theirs.mcap", encoding, "jsonschema", b"{}", {})
+        for command in ("fit", "diagnose", "export", "report"):
+            out = ("-o", f"x.{command}") if command in {"export", "report"} else ("--rig", "rig.toml")
+            out = ("-o", "x.csv") if command == "export" else out
+            told = labhil(command, "theirs.mcap", *out).refused()
+            assert f"channels of another program: /x ({encoding})" in told
+            assert "expected a topic /<device>/<stream>" in told
+            assert hint in told
+        told = labhil("import", "theirs.mcap", "--rig", "rig.toml", "-o", "x.mcap").refused()
+        assert f"found an MCAP file of another program with /x ({encoding})" in told
+        assert "those with the profile ros2" in told
+        assert ("ros2 bag convert" in told) == (encoding == "cdr")
+
+
+def test_channels_of_others_are_named_beside_streams_of_ours(labhil, tmp_path: Path) -> None:
+    both = tmp_path / "both.mcap"
+    stream = Stream("state", (Signal("speed", "m/s", Direction.OUTPUT),), 100.0)
+    with RecordingWriter(both) as writer:
+        writer.write(writer.add_stream("bench", stream), Batch(COUNT, STEADY, STEADY, np.ones((600, 1))))
+        writer._writer.register_channel("/imu", "json", 0, {})
+    (tmp_path / "rig.toml").write_text(RIG)
+    told = labhil("fit", both, "--rig", "rig.toml").refused()
+    assert "found /bench/state: speed; of another program: /imu (json)" in told
+
+
 def recorded(path: Path, values: np.ndarray, t_ns: np.ndarray) -> None:
     with RecordingWriter(path) as writer:
         writer.attach("rig.toml", "application/toml", RIG.encode())

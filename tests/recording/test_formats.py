@@ -166,7 +166,10 @@ def test_a_workbook_has_sheets_skipped_rows_comments_and_texts_that_are_numbers(
 
 def test_a_workbook_without_a_header_goes_by_numbers_and_a_row_too_long_is_bad(tmp_path):
     path = as_workbook(tmp_path / "data.xlsx", [[1, 2], [3, 4], [5, 6, 7], [None, 8], [9, 10]], None)
-    toml = "[table]\nrate = 10\n[channels]\nbeam_angle = { column = 0 }\nball_position = { column = 1 }"
+    toml = (
+        '[table]\nrate = 10\nbad_rows = "drop"\n'
+        "[channels]\nbeam_angle = { column = 0 }\nball_position = { column = 1 }"
+    )
     table = import_table(path, rig(toml))
     assert table.values.tolist() == [[1.0, 2.0], [3.0, 4.0], [9.0, 10.0]]
     assert (table.dropped["field_count"], table.dropped["not_finite"]) == (1, 1)
@@ -237,7 +240,7 @@ def two_topics(path):
     ],
 )
 def test_another_topic_is_held_or_goes_along_a_line(tmp_path, kind, names, expected):
-    toml = "[channels]\n" + "\n".join(
+    toml = '[table]\nbad_rows = "drop"\n[channels]\n' + "\n".join(
         f'{name} = {{ column = "{topic}.data" }}'
         for name, topic in zip(names, ("/position", "/command"), strict=True)
     )
@@ -357,7 +360,7 @@ def test_nothing_stands_where_a_sample_was_not_finite(tmp_path):
     values[1, 0], values[2, 1] = np.nan, np.inf
     recording = record(tmp_path / "a.mcap", values)
     for suffix in (".xlsx", ".parquet", ".csv", ".mat"):
-        table = import_table(export(recording, tmp_path / f"a{suffix}"), rig())
+        table = import_table(export(recording, tmp_path / f"a{suffix}"), rig('[table]\nbad_rows = "drop"'))
         assert (len(table), table.dropped["not_finite"]) == (2, 2), suffix
 
 

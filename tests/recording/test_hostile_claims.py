@@ -32,6 +32,7 @@ from labhil.terminal import printable, printable_json, printable_name, terminal
 sys.path.insert(0, str(Path(__file__).parent))
 from samples_of_a_bench import RIG, STATE, batch
 
+ROWS = 200
 TABLE_RIG = parse_rig('[rig]\nkind = "ball_beam"\n', Path("rig.toml"))
 
 
@@ -109,7 +110,7 @@ def test_values_that_no_model_can_calculate_with_are_refused_and_have_a_page(tmp
 
 def sheet(path, stray=()):
     book = openpyxl.Workbook()
-    for row in (["t", "servo_angle", "ball_position"], *([k / 10, k, -k] for k in range(20))):
+    for row in (["t", "servo_angle", "ball_position"], *([k / 10, k, -k] for k in range(ROWS))):
         book.active.append(row)
     for place in stray:
         book.active[place] = 1
@@ -120,7 +121,7 @@ def sheet(path, stray=()):
 def test_a_stray_cell_in_the_last_row_and_column_costs_nothing(tmp_path):
     begun = time.process_time()
     table = import_table(sheet(tmp_path / "a.xlsx", ["XFD1048576", "B1048570"]), TABLE_RIG)
-    assert len(table) == 20
+    assert len(table) == ROWS
     assert time.process_time() - begun < 2.0
 
 
@@ -159,7 +160,7 @@ def test_a_reader_that_crashes_takes_nobody_along_and_the_next_file_is_read(tmp_
     with pytest.raises(TableError, match=r"its reader crashed \(SIGSEGV\)"):
         apart.read_apart("mat", pipe, Table(), ())
     crash.join()
-    assert len(import_table(sheet(tmp_path / "a.xlsx"), TABLE_RIG)) == 20
+    assert len(import_table(sheet(tmp_path / "a.xlsx"), TABLE_RIG)) == ROWS
 
 
 def test_a_reader_that_takes_too_much_time_or_memory_is_ended(tmp_path, monkeypatch):
@@ -181,7 +182,7 @@ def test_a_reader_that_takes_too_much_time_or_memory_is_ended(tmp_path, monkeypa
     with pytest.raises(TableError, match="longer than"):
         apart.read_apart("mat", pipe, Table(), ())
     monkeypatch.undo()
-    assert len(import_table(path, TABLE_RIG)) == 20
+    assert len(import_table(path, TABLE_RIG)) == ROWS
 
 
 HOSTILE = "a\x1b[31m\x07\x9b\u202eb\u2028c"

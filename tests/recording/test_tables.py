@@ -19,7 +19,7 @@ from labhil.recording import (
     read_recording,
     write_import,
 )
-from labhil.recording.timeline import longest_run
+from labhil.recording.timeline import stretches
 from labhil.rig import parse_rig
 
 HEAD = '[rig]\nkind = "ball_beam"\n'
@@ -193,56 +193,47 @@ def test_text_in_columns_that_are_not_mapped_is_nobodys_business(tmp_path):
     assert len(imported(tmp_path, BAD, '[table]\nbad_rows = "fail"')) == 20
 
 
-def test_the_longest_run_stays_when_the_clock_was_set(tmp_path):
+def test_the_longest_part_stays_when_the_clock_was_set_and_bad_rows_are_dropped(tmp_path):
     one = "".join(f"{i / 10},1,2\n" for i in range(30))
     two = "".join(f"{i / 10 + 0.03},3,4\n" for i in range(50))
-    table = imported(tmp_path, "t,ball_position,servo_angle\n" + one + two)
+    content = "t,ball_position,servo_angle\n" + one + two
+    table = imported(tmp_path, content, '[table]\nbad_rows = "drop"')
     assert len(table) == 50
     assert set(table.values[:, 1]) == {3.0}
-    assert table.dropped["time"] == 30
+    assert table.dropped["part"] == 30
+    with pytest.raises(TableError, match=r"line 32 .*\[table\] part"):
+        imported(tmp_path, content)
 
 
-@pytest.mark.parametrize(("gap", "kept"), [(9.9, 60), (10.3, 40)])
-def test_a_gap_is_bridged_up_to_a_hundred_steps(tmp_path, gap, kept):
+@pytest.mark.parametrize("gap", [9.9, 10.3, 1e4])
+def test_a_gap_loses_no_rows(tmp_path, gap):
     times = [i / 10 for i in range(20)] + [1.9 + gap + i / 10 for i in range(40)]
     table = imported(tmp_path, "t,ball_position,servo_angle\n" + "".join(f"{t:.6f},1,2\n" for t in times))
-    assert len(table) == kept
-
-
-def brute_force(times, median):
-    best = [1] * len(times)
-    for i, t in enumerate(times):
-        for j in range(max(0, i - 100), i):
-            slowest = 0.25 * median * (i - j) if i - j > 1 else 0.0
-            if t > times[j] and slowest <= t - times[j] <= 100 * median:
-                best[i] = max(best[i], best[j] + 1)
-    return max(best)
-
-
-ERRORS = [-1e9, -30.0, -0.5, 0.4, 5.0, 60.0, 1e9]
+    assert len(table) == 60
 
 
 @settings(max_examples=60, deadline=None)
 @given(
-    st.integers(2, 250),
+    st.integers(40, 250),
     st.lists(
-        st.tuples(st.integers(0, 249), st.sampled_from([-1e9, -30.0, -0.5, 0.4, 5.0, 60.0, 1e9])), max_size=6
+        st.tuples(st.integers(0, 249), st.sampled_from([-1e9, -30.0, -0.5, 5.0, 60.0, 1e9])), max_size=4
     ),
-    st.lists(st.tuples(st.integers(1, 249), st.sampled_from([-50.0, 20.0, 5000.0])), max_size=2),
+    st.lists(st.tuples(st.integers(20, 249), st.sampled_from([20.0, 5000.0])), max_size=2),
 )
-def test_the_longest_run_is_the_longest(n, struck, jumps):
+def test_wrong_stamps_are_jumped_over_and_holes_are_not(n, struck, holes):
     times = np.arange(n, dtype=float)
-    for place, jump in jumps:
-        times[place:] += jump
+    for place, length in holes:
+        times[place:] += length
+    wrong = {place % n for place, _ in struck}
     for place, error in struck:
         times[place % n] += error
-    run = longest_run(times)
-    steps = np.diff(times)
-    median = np.median(steps[steps > 0]) if (steps > 0).any() else 0.0
-    assert (np.diff(run) > 0).all()
-    taken = np.diff(times[run])
-    assert ((taken > 0) & (taken <= 100 * median)).all()
-    assert len(run) == brute_force(times.tolist(), median)
+    runs = stretches(times)
+    kept = np.concatenate(runs)
+    for run in runs:
+        assert (np.diff(run) > 0).all()
+        assert (np.diff(times[run]) > 0).all()
+    # beside a wrong stamp, or at the short end that it cuts off, neighbours may go with it
+    assert n - len(kept) <= 4 * len(wrong)
 
 
 def test_values_outside_the_limits_stay_and_are_flagged(tmp_path):

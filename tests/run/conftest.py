@@ -13,6 +13,7 @@ import pytest
 
 from labhil.bus.ask import ask
 from labhil.bus.keys import ALL_STREAMS, command_key, event_key, setpoint_key
+from labhil.bus.publish import publish_command
 from labhil.bus.session import Bus, open_bus
 from labhil.bus.subscribe import subscribe
 from labhil.experiment.experiment import TwinSection
@@ -46,7 +47,7 @@ class Bench:
         return self.ask("set", **self.setpoint(angle, token, age).to_json())
 
     def put(self, angle: float) -> None:
-        self.bus.session.put(setpoint_key(DEVICE), self.setpoint(angle).to_bytes())
+        publish_command(self.bus, setpoint_key(DEVICE), self.setpoint(angle).to_bytes())
 
     def setpoint(self, angle: float, token: str | None = None, age: float = 0.0) -> Setpoint:
         t_ns = time.time_ns() - round(age * 1e9)

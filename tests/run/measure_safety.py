@@ -29,14 +29,14 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-import zenoh
 from measured import tell
 
 from labhil.bus import latch
 from labhil.bus.ask import ask
 from labhil.bus.keys import command_key, setpoint_key
+from labhil.bus.publish import publish_command
 from labhil.bus.session import Bus, open_bus
-from labhil.errors import LabhilError
+from labhil.errors import BusError, LabhilError
 from labhil.experiment.experiment import TwinSection
 from labhil.experiment.twins import start_twin
 from labhil.link import Decoder, MessageType, State, StateFlag
@@ -170,12 +170,11 @@ class Seat:
         self._thread.start()
 
     def _command(self) -> None:
-        publisher = self.bus.session.declare_publisher(setpoint_key("bench"))
         while not self._over.wait(0.01):
             setpoint = Setpoint(self._token, time.time_ns(), {"servo_angle": 0.05})
             try:
-                publisher.put(setpoint.to_bytes())
-            except zenoh.ZError:  # the session was closed, as it was meant to be
+                publish_command(self.bus, setpoint_key("bench"), setpoint.to_bytes())
+            except BusError:  # the session was closed, as it was meant to be
                 return
 
     def close(self) -> None:

@@ -40,6 +40,7 @@ from measured import tell
 
 from labhil.bus.ask import ask
 from labhil.bus.keys import command_key, setpoint_key
+from labhil.bus.publish import publish_command
 from labhil.bus.session import Bus, open_bus
 from labhil.recording.reader import StreamData, read_recording
 from labhil.service.messages import Setpoint
@@ -220,7 +221,7 @@ class Mover:
             t = time.monotonic() - began
             volts = sum(AMPLITUDE * math.sin(2 * math.pi * tone * t) for tone in TONES)
             setpoint = Setpoint(self._token, time.time_ns(), {"voltage": volts})
-            self._bus.session.put(setpoint_key("bench"), setpoint.to_bytes())
+            publish_command(self._bus, setpoint_key("bench"), setpoint.to_bytes())
 
 
 def soak(seconds: float, roll: float, size: tuple[int, int], tab: str, folder: Path) -> dict[str, Any]:

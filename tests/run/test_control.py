@@ -15,8 +15,11 @@ from labhil.experiment.control import TRANSITIONS, RunControl, RunState, mermaid
 from labhil.experiment.experiment import parse_experiment
 from labhil.experiment.run import Progress, RunResult, run_experiment
 from labhil.recording.reader import Recording, read_recording
+from labhil.recording.writer import FLUSH_INTERVAL
+from labhil.service.messages import WATCHDOG
 
 ROOT = Path(__file__).parents[2]
+PAGES = ("architecture", "decisions", "safety", "ur5")
 PATIENCE = 90.0
 
 RIG = """
@@ -190,3 +193,24 @@ def test_a_request_to_end_is_not_taken_back() -> None:
 
 def test_the_diagram_in_the_documentation_is_made_of_the_table() -> None:
     assert f"```mermaid\n{mermaid()}\n```" in (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
+
+
+def test_the_numbers_in_the_documentation_are_those_of_the_code() -> None:
+    docs = {name: (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8") for name in PAGES}
+    assert f"forced to the disk every {FLUSH_INTERVAL:g} s" in docs["architecture"]
+    assert f"forced to the disk every {FLUSH_INTERVAL:g} s" in docs["decisions"]
+    assert f"watches commands ({WATCHDOG:g} s)" in docs["decisions"]
+    assert f"setpoints stop for {WATCHDOG:g} s" in docs["safety"]
+    assert f"ends after {WATCHDOG:g} s with exit 1" in docs["ur5"]
+
+
+def test_a_disk_that_is_nearly_full_at_the_start_is_the_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("labhil.recording.writer.SMALLEST_FREE_SPACE", 2**60)
+    (tmp_path / "rig.toml").write_text(RIG)
+    experiment = parse_experiment(EXPERIMENT.replace("DURATION", "3.0"), tmp_path / "e.toml")
+    result = run_experiment(experiment, tmp_path)
+    assert (result.exit_status, result.path) == (1, None)
+    assert "MB are left on the disk" in result.reason
+    assert not list(tmp_path.glob("*.mcap*"))

@@ -19,6 +19,7 @@ import pytest
 
 from labhil.bus import latch, register
 from labhil.bus.keys import setpoint_key
+from labhil.bus.publish import publish_command
 from labhil.errors import CommandRefusedError, RigFileError, UsageError
 from labhil.experiment.control import RunControl, RunState
 from labhil.experiment.experiment import TwinSection, parse_experiment
@@ -417,7 +418,7 @@ def test_a_streamed_setpoint_that_is_no_number_or_from_the_future_is_refused(ben
     with pytest.raises(CommandRefusedError, match="a setpoint is"):
         bench.ask("set", token=bench.token, t_ns=time.time_ns(), values={"servo_angle": None})
     unknown = Setpoint(bench.token, time.time_ns(), {"servo": 0.1})
-    bench.bus.session.put(setpoint_key("bench"), unknown.to_bytes())
+    publish_command(bench.bus, setpoint_key("bench"), unknown.to_bytes())
     wait_until(lambda: any("'servo'" in e["message"] for e in bench.events), "the name was not refused")
     status = bench.ask("status")
     assert (status["state"], status["applied"]) == ("idle", {"servo_angle": 0.0})

@@ -6,6 +6,7 @@ import json
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -14,9 +15,13 @@ import pytest
 
 from labhil.bus.ask import ask
 from labhil.bus.keys import command_key
+from labhil.bus.register import find_run
 from labhil.bus.session import open_bus
-from labhil.errors import ExperimentFileError
-from labhil.experiment.lab import load_lab
+from labhil.errors import ExperimentFileError, UsageError
+from labhil.experiment.experiment import TwinSection, parse_devices
+from labhil.experiment.lab import Lab, load_lab
+from labhil.experiment.lab_service import LabService
+from labhil.experiment.twins import start_twin
 from labhil.recording.reader import read_recording
 
 RIG = Path(__file__).parents[2] / "labhil" / "experiment" / "examples" / "ball_beam.toml"
@@ -96,3 +101,37 @@ def test_what_is_wrong_with_a_lab_file_is_named(text: str, told: str, tmp_path: 
     with pytest.raises(ExperimentFileError, match=told) as refused:
         load_lab(path)
     assert str(path) in str(refused.value)
+
+
+def test_a_device_that_comes_late_is_looked_for_and_status_says_so(tmp_path: Path) -> None:
+    (tmp_path / "ball_beam.toml").write_text(RIG.read_text())
+    address = tmp_path / "ttyLATE"
+    text = f'[lab]\nname = "late"\n[devices.bench]\n{PLUGIN}address = "{address}"\nreconnect = true\n'
+    lab = parse_devices(text, tmp_path / "lab.toml", Lab)
+    said: list[str] = []
+    over = threading.Event()
+    twin = None
+    with open_bus() as bus:
+        service = LabService(lab, bus, tmp_path, said.append)
+        serving = threading.Thread(target=service.run, args=(over.is_set,))
+        serving.start()
+        try:
+            wait_for(lambda: any("looked for" in line for line in said), "the search")
+            with pytest.raises(UsageError, match="found only a served lab"):
+                find_run()
+            with open_bus(find_run(or_lab=True)) as other:
+                status = ask(other, command_key("@run", "status"), patience=5.0)
+                assert (status["state"], status["devices"], status["up"]) == ("serving", ["bench"], [])
+                assert "ttyLATE" in status["absent"]["bench"]
+                twin, real = start_twin("bench", "ball_beam", TwinSection(), tmp_path / "t.json", over.is_set)
+                address.symlink_to(real)
+                wait_for(lambda: any(line.endswith("is up") for line in said), "the device")
+                assert ask(other, command_key("bench", "status"), patience=5.0)["state"] == "idle"
+                assert ask(other, command_key("@run", "status"))["up"] == ["bench"]
+        finally:
+            over.set()
+            serving.join(PATIENCE)
+            if twin is not None:
+                twin.stop()
+    assert service.failed == {}
+    assert said[-1].startswith("recorded ")

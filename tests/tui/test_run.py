@@ -161,8 +161,14 @@ def test_quitting_asks_while_a_run_is_on_and_ends_it_in_order(bench: Path) -> No
 
 
 @pytest.mark.extended
-@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL], ids=lambda how: how.name)
-def test_however_the_screen_ends_the_run_ends_in_order(bench: Path, how: signal.Signals) -> None:
+@pytest.mark.parametrize(
+    ("how", "status"),
+    [(signal.SIGTERM, "0"), (signal.SIGHUP, "0"), (signal.SIGKILL, "1")],
+    ids=["SIGTERM", "SIGHUP", "SIGKILL"],
+)
+def test_however_the_screen_ends_the_run_ends_too_and_a_crash_is_a_failure(
+    bench: Path, how: signal.Signals, status: str
+) -> None:
     ours, theirs = pty.openpty()
     command = [sys.executable, "-P", "-m", "labhil", "tui", "--folder", str(bench)]
     screen = subprocess.Popen(
@@ -185,7 +191,7 @@ def test_however_the_screen_ends_the_run_ends_in_order(bench: Path, how: signal.
         drain.wait()
     recording = only_recording(bench)
     assert recording.complete
-    assert recording.metadata["end"]["exit_status"] == "0"
+    assert recording.metadata["end"]["exit_status"] == status
     assert "terminal UI" in recording.metadata["end"]["reason"]
 
 

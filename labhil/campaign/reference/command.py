@@ -37,12 +37,13 @@ def reference_command(
     UnknownNameError for a table that does not exist.
     """
     reference = run_reference(tables, quick=quick, seed=seed, progress=progress, cache=cache)
-    shown = console or terminal()
-    shown = shown if shown.is_terminal else terminal(file=shown.file, width=WIDTH)
-    shown.print(show_reference(reference))
     if markdown is not None:
         with whole(markdown, "the page") as draft:
             draft.write_text(page(reference), encoding="utf-8")
     if json_path is not None:
         write_json(reference.to_json(), json_path)
+    # what was asked for is saved by now, whatever becomes of stdout
+    shown = console or terminal()
+    shown = shown if shown.is_terminal else terminal(file=shown.file, width=WIDTH)
+    shown.print(show_reference(reference))
     return reference

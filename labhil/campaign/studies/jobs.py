@@ -61,7 +61,7 @@ class Jobs:
         if "progress" in line:
             job.said = str(line["progress"])
         elif "done" in line:
-            job.state, job.done, job.said = "done", line["done"], "done"
+            job.state, job.done, job.said = "done", line["done"], str(line.get("verdict", "done"))
         elif "failed" in line:
             job.state, job.said = "failed", str(line["failed"])
         elif "ended" in line:

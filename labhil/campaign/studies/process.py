@@ -92,11 +92,13 @@ def on_further_lines(take: OnLine, end: Callable[[], None]) -> None:
     """In a helper: call ``take`` with each further line, and ``end`` when there will be none."""
 
     def listen() -> None:
-        for line in sys.stdin:
-            said = _parsed(line)
-            if said is not None:
-                take(said)
-        end()
+        try:
+            for line in sys.stdin:
+                said = _parsed(line)
+                if said is not None:
+                    take(said)
+        finally:  # one that can listen no more must not go on by itself
+            end()
 
     threading.Thread(target=listen, name="listen to who asked", daemon=True).start()
 

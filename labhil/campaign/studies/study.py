@@ -83,9 +83,11 @@ def do(task: Task) -> dict[str, Any]:
         from labhil.campaign.studies.curves import curves_of_fit
         from labhil.identify.fit import Options
         from labhil.report.study import fit_study
+        from labhil.report.verdicts import verdict_line
 
         fitted = fit_study(material, start=task.model, options=Options(progress=progress))
-        return {"done": str(_write(first.parent, stem, "fit", fitted.json, curves_of_fit(fitted)))}
+        path = _write(first.parent, stem, "fit", fitted.json, curves_of_fit(fitted))
+        return {"done": str(path), "verdict": verdict_line(fitted.fit.adequacy)}
     from labhil.campaign.studies.curves import curves_of_diagnosis
     from labhil.report.study import diagnose_study
 

@@ -18,7 +18,7 @@ from labhil.campaign.trials.folder import INDEX, RIG, Index, Listed, read_index,
 from labhil.campaign.trials.seal import sha256_of, write_envelope
 from labhil.campaign.trials.secret import Bench, Walk
 from labhil.errors import UsageError
-from labhil.recording.reader import RIG_ATTACHMENT
+from labhil.recording.rig_attachments import RIG_ATTACHMENT
 from labhil.recording.writer import RecordingWriter
 from labhil.signals import Batch, Stream
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from labhil.ending import EndedEarly
 from labhil.errors import UnknownNameError
 from labhil.identify.estimators.coordinates import Coordinates
 from labhil.identify.estimators.library import cma_es, differential_evolution, simulated_annealing
@@ -73,7 +74,7 @@ def search(
     """
     try:
         return _searched(problem, name, seed, budget, progress)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, EndedEarly):
         z = problem.start().z
         return Begin(problem.theta(z), Found(z, float("inf"), 0, (), INTERRUPTED))
 
@@ -91,7 +92,7 @@ def _searched(problem: Problem, name: str, seed: int, budget: Budget | None, pro
     try:
         rounds = {"iterations": affordable(ledger)} if method is text_swarm else {}
         found = method(ledger, seed, coordinates.start, **rounds)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, EndedEarly):
         if not ledger.evaluations:
             raise
         ledger.stopped_because = INTERRUPTED

@@ -119,15 +119,22 @@ def inertial_of(
 def load_links(path: Path) -> Links:
     """Read a table of links; RigFileError names the file, the joint's field and what was expected."""
     try:
-        data: dict[str, Any] = parse_toml(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise RigFileError(f"{path}: cannot be read as a table of links (TOML): {error}") from error
+    return links_of(text, str(path))
+
+
+def links_of(text: str, source: str) -> Links:
+    """Read the text of a table of links, which stands in ``source``; raises as :func:`load_links`."""
+    try:
+        data: dict[str, Any] = parse_toml(text)
     except DocumentError as error:
-        raise RigFileError(f"{path}: not TOML: {error}") from error
+        raise RigFileError(f"{source}: not TOML: {error}") from error
     try:
         return Links.of(LinksFile.model_validate(data).joint)
     except ValidationError as error:
-        raise RigFileError(explain(error, path, LinksFile)) from error
+        raise RigFileError(explain(error, Path(source), LinksFile)) from error
 
 
 def _row(

@@ -18,7 +18,7 @@ from labhil.physics.arm.controller_constants import controller_constants, notes_
 from labhil.physics.arm.first_estimate import FirstEstimate, best_of, first_estimate
 from labhil.physics.arm.grouped import grouped
 from labhil.physics.arm.joint_laws import LAWS, JointMotion, directions
-from labhil.physics.arm.links import PER_LINK, UR5, inertial_of, load_links
+from labhil.physics.arm.links import PER_LINK, UR5, inertial_of, links_of
 from labhil.physics.arm.motion import Motion, PreparedRecord, as_it_is, cut_off_of, prepared, temperatures
 from labhil.physics.arm.rigid_body import upright
 from labhil.physics.arm.view import Remembered, View
@@ -69,8 +69,8 @@ class ArmModel:
     _forces: tuple[ExtraForce, ...] = ()
 
     def __init__(self, rig: RigFile, record: Record | None = None) -> None:
-        path = rig.known_path("links")
-        self.links = UR5 if path is None else load_links(path)
+        table = rig.known_file("links")
+        self.links = UR5 if table is None else links_of(table.text(), table.source)
         stated = rig.known_numbers("torque_constant")
         self.controller = None if record is None else controller_constants(record)
         # known masses are the better reference: then the constants are estimated

@@ -1,13 +1,13 @@
 """ROS 2 bags, by rosbags: a folder with ``metadata.yaml``, or one ``.mcap`` or ``.db3`` file of it.
 
-A column is ``topic.field[.sub][index]``, like ``/joint_states.position[0]``; a stamp (``header.stamp``) is a
-column in s of Unix time. The rows are the messages of one topic. Columns of other topics are taken at the
-times of these messages.
+A column is ``topic.field[.sub][index]``, like ``/wheels.speed[0]``, or ``topic.field.name`` where a message
+names the elements of its arrays, like ``/joint_states.position.elbow_joint``; a stamp (``header.stamp``) is a
+column in s of Unix time. The rows are the messages of one topic, or of one of its publishers where they name
+other joints. Columns of others are taken at the times of these messages.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,73 +17,93 @@ from typing import Any
 import numpy as np
 
 from labhil.errors import TableError
+from labhil.recording.formats.bag_messages import Named, Source, Way, numbers_in, sources_of
 from labhil.recording.formats.columns import Columns, the_package
 from labhil.signals import FloatArray, Hold
 
 RECEIVED = "received"
 """The column of the times at which the bag's recorder received the messages of the rows' topic, s."""
 
-LONGEST_ARRAY = 64
-"""Longer arrays (images, point clouds) are no columns."""
-
 LONGEST_GAP = 100.0
 """Median steps of another topic; nothing is taken between messages that are further apart."""
 
-_STEP = re.compile(r"\[(\d+)\]|\.?([^.\[\]]+)")
+MOST_NAMES = 12
+"""Names of joints that a message lists."""
 
-Way = tuple[str | int, ...]
-"""How to get from a message to a number: names of fields and places in arrays."""
-
-
-@dataclass(frozen=True)
-class _Topic:
-    """The messages of one topic: ``stamps`` (n,) of their headers, ``received`` (n,), s of Unix time."""
-
-    received: FloatArray
-    stamps: FloatArray | None
-    values: Mapping[Way, FloatArray]
+_STEP = re.compile(r"\[([^\[\]]+)\]|\.?([^.\[\]]+)")
 
 
 @dataclass(frozen=True)
 class BagColumns(Columns):
-    """Columns of a bag, at the times of the messages of the topic ``base``."""
+    """Columns of a bag, at the times of the messages of ``base``, the first of its ``sources``.
 
-    places: tuple[tuple[str, Way], ...]
-    base: str
-    topics: Mapping[str, _Topic]
+    ``places`` says of each column in which of the sources it stands (None: not read) and the way there;
+    ``numbered`` which column a place in an array of named elements is, by its plain name; ``refused`` why
+    one is none.
+    """
+
+    path: Path
+    places: tuple[tuple[int | None, Way], ...]
+    sources: tuple[Source, ...]
+    numbered: Mapping[str, int]
+    refused: Mapping[str, str]
     used: set[str] = field(default_factory=set)
 
     row_word = "message"
 
     @property
+    def base(self) -> Source:
+        """The messages that give the rows."""
+        return self.sources[0]
+
+    @property
     def notes(self) -> tuple[str, ...]:
-        """Which topic gives the rows and which clock the time, and what was taken from other topics."""
+        """Which messages give the rows and which clock the time, and what was taken from others."""
         clock = "the stamps in their headers" if self._stamped else "the times at which the bag received them"
-        others = tuple(
-            f"{name} is another topic: its values are taken at the times of {self.base}"
+        beside = tuple(
+            f"{len(other.rows)} messages of {other.topic} are no rows: they name {_listed(other.names)}"
+            for other in self.sources[1:]
+            if other.topic == self.base.topic
+        )
+        taken = tuple(
+            f"{name} is another topic: its values are taken at the times of {self.base.topic}"
             for name in sorted(self.used)
         )
-        return (f"rows are the messages of {self.base}; without a channel t the time is {clock}", *others)
+        rows = f"rows are the messages of {self.base.topic}{_with_names(self.base) if beside else ''}"
+        return (f"{rows}; without a channel t the time is {clock}", *beside, *taken)
 
     def find(self, source: str) -> tuple[int, ...]:
-        """The numbers of the columns that bear this name; the first slash and ``.0`` for ``[0]`` are free."""
+        """The numbers of the columns that bear this name; the first slash and ``.0`` for ``[0]`` are free.
+
+        TableError for a place in an array whose elements change places.
+        """
         wanted = _plain(source)
-        return tuple(place for place, name in enumerate(self.names or ()) if _plain(name) == wanted)
+        found = tuple(place for place, name in enumerate(self.names or ()) if _plain(name) == wanted)
+        if found:
+            return found
+        if wanted in self.refused:
+            raise TableError(f"{self.path}: {source}: {self.refused[wanted]}")
+        return (self.numbered[wanted],) if wanted in self.numbered else ()
 
     def numbers(self, column: int, hold: Hold = Hold.LINEAR) -> FloatArray:
         """The values of a column, shape (rows,); NaN where there is none.
 
         Between two messages of another topic the value goes along the straight line or is held.
         """
-        base = self.topics[self.base]
-        name, way = self.places[column]
-        if not name:
-            return base.received if way == (RECEIVED,) else self._times(base)
-        topic = self.topics[name]
-        if name == self.base:
-            return topic.values[way]
-        self.used.add(name)
-        return _taken_at(self._times(base), self._times(topic), topic.values[way], hold)
+        place, way = self.places[column]
+        if not way:
+            return self._times(self.base)
+        if way == (RECEIVED,):
+            return self.base.received
+        if place is None:
+            name = (self.names or ())[column]
+            raise TableError(f"{self.path}: column {column}: expected a name in [channels], such as {name!r}")
+        source = self.sources[place]
+        if place == 0:
+            return source.values[way]
+        names = _with_names(source) if source.topic == self.base.topic else ""
+        self.used.add(f"{source.topic}{names}")
+        return _taken_at(self._times(self.base), self._times(source), source.values[way], hold)
 
     def text(self, column: int, row: int) -> str:
         """What stands there, for messages."""
@@ -91,10 +111,11 @@ class BagColumns(Columns):
 
     @property
     def _stamped(self) -> bool:
-        return self.topics[self.base].stamps is not None
+        return self.base.stamps is not None
 
-    def _times(self, topic: _Topic) -> FloatArray:
-        return topic.stamps if self._stamped and topic.stamps is not None else topic.received
+    def _times(self, source: Source) -> FloatArray:
+        stamps = source.stamps if self._stamped else None
+        return source.received if stamps is None else stamps
 
 
 def read_bag(path: Path, wanted: Sequence[str]) -> BagColumns:
@@ -119,28 +140,35 @@ def read_bag(path: Path, wanted: Sequence[str]) -> BagColumns:
 
 
 def _read(path: Path, reader: Any, wanted: Sequence[str]) -> BagColumns:
-    ways = {
-        connection.topic: tuple(_walk(_first(reader, connection), ()))
-        for connection in reader.connections
-        if connection.msgcount
-    }
-    places = [(topic, way) for topic, inner in ways.items() for way in inner]
-    names = [_name(topic, way) for topic, way in places]
-    if not places:
+    first = {c.topic: _first(reader, c) for c in reversed(reader.connections) if c.msgcount}
+    listed = [(topic, way) for topic, message in first.items() for way, _ in numbers_in(message)]
+    if not listed:
         raise TableError(f"{path}: expected a bag with messages that hold numbers, found none")
-    plain = {_plain(name): topic for name, (topic, _) in zip(names, places, strict=True)}
-    needed = [plain[_plain(name)] for name in wanted if _plain(name) in plain] or [places[0][0]]
-    topics = {topic: _read_topic(reader, topic, ways[topic]) for topic in dict.fromkeys(needed)}
-    rows = len(topics[needed[0]].received)
-    own: list[tuple[str, Way]] = [("", ("t",)), ("", (RECEIVED,))]
+    asked = list(dict.fromkeys(name.partition(".")[0].lstrip("/") for name in wanted))
+    topics = {topic.lstrip("/"): topic for topic in first}
+    needed = [topics[name] for name in asked if name in topics] or [listed[0][0]]
+    read = [source for topic in needed for source in sources_of(topic, _messages(reader, topic))]
+    base = _base(read, [_plain(name) for name in wanted])
+    sources = [base, *(source for source in read if source is not base)]
+    found: dict[str, tuple[int | None, Way]] = {"t": (None, ()), RECEIVED: (None, (RECEIVED,))}
+    for place, source in enumerate(sources):
+        for way in source.values:
+            found.setdefault(_name(source.topic, way), (place, way))
+    done = {source.topic for source in sources}
+    for topic, way in listed:
+        if topic not in done:
+            found.setdefault(_name(topic, way), (None, way))
+    names = tuple(found)
     return BagColumns(
-        names=("t", RECEIVED, *names),
-        width=len(names) + 2,
-        lines=np.arange(1, rows + 1),
-        counts=np.full(rows, len(names) + 2),
-        places=tuple(own + places),
-        base=needed[0],
-        topics=topics,
+        names=names,
+        width=len(names),
+        lines=base.rows + 1,
+        counts=np.full(len(base.rows), len(names)),
+        path=path,
+        places=tuple(found.values()),
+        sources=tuple(sources),
+        numbered={plain: names.index(name) for plain, name in _numbered(sources)},
+        refused=dict(_refused(sources)),
     )
 
 
@@ -149,49 +177,72 @@ def _first(reader: Any, connection: Any) -> Any:
     return reader.deserialize(raw, connection.msgtype)
 
 
-def _read_topic(reader: Any, topic: str, ways: Sequence[Way]) -> _Topic:
+def _messages(reader: Any, topic: str) -> Iterator[tuple[int, Any]]:
     connections = [connection for connection in reader.connections if connection.topic == topic]
-    received, rows = [], []
     for connection, time_ns, raw in reader.messages(connections):
-        message = reader.deserialize(raw, connection.msgtype)
-        received.append(time_ns)
-        rows.append([_number_at(message, way) for way in ways])
-    table = np.array(rows, dtype=np.float64)
-    values: dict[Way, FloatArray] = dict(zip(ways, table.T, strict=True))
-    stamps = values.get(("header", "stamp"))
-    if stamps is not None and not (stamps > 0).all():
-        stamps = None  # nobody filled them in
-    return _Topic(np.array(received, dtype=np.float64) * 1e-9, stamps, values)
+        yield time_ns, reader.deserialize(raw, connection.msgtype)
 
 
-def _walk(value: Any, way: Way) -> Iterator[Way]:
-    """All ways to numbers in a message."""
-    if isinstance(value, (bool, int, float, np.number, np.bool_)) or _is_stamp(value):
-        yield way
-    elif isinstance(value, (list, np.ndarray)):
-        for place in range(len(value) if len(value) <= LONGEST_ARRAY else 0):
-            yield from _walk(value[place], (*way, place))
-    elif dataclasses.is_dataclass(value):
-        for part in dataclasses.fields(value):
-            yield from _walk(getattr(value, part.name), (*way, part.name))
+def _base(sources: Sequence[Source], wanted: Sequence[str]) -> Source:
+    """The source that gives the rows: of the first topic, and there of the first name that only one has."""
+    mine = [source for source in sources if source.topic == sources[0].topic]
+    for name in wanted:
+        having = [one for one in mine if any(_plain(_name(one.topic, way)) == name for way in one.values)]
+        if len(having) == 1:
+            return having[0]
+    return mine[0]
 
 
-def _is_stamp(value: Any) -> bool:
-    return hasattr(value, "sec") and hasattr(value, "nanosec")
+def _by_place(source: Source) -> Iterator[tuple[str, str]]:
+    """Of every array of named elements the plain name of a place in it, and the column it may mean."""
+    for way in source.values:
+        at = next((k for k, step in enumerate(way) if isinstance(step, Named)), None)
+        if at is None:
+            continue
+        label = way[at]
+        for labels in source.orders:
+            if isinstance(label, Named) and label.name in labels:
+                place = (*way[:at], labels.index(label.name), *way[at + 1 :])
+                yield _plain(_name(source.topic, place)), _name(source.topic, way)
 
 
-def _number_at(message: Any, way: Way) -> float:
-    value = message
-    try:
-        for step in way:
-            value = value[step] if isinstance(step, int) else getattr(value, step)
-        return value.sec + 1e-9 * value.nanosec if _is_stamp(value) else float(value)
-    except (IndexError, AttributeError, TypeError):
-        return float("nan")  # an array may be shorter in one message than in another
+def _orders(sources: Sequence[Source], topic: str) -> dict[tuple[str, ...], int]:
+    return {labels: n for one in sources if one.topic == topic for labels, n in one.orders.items()}
+
+
+def _numbered(sources: Sequence[Source]) -> Iterator[tuple[str, str]]:
+    """Places in arrays of named elements that mean one column, as the names never change places."""
+    for source in sources:
+        if len(_orders(sources, source.topic)) == 1:
+            yield from _by_place(source)
+
+
+def _refused(sources: Sequence[Source]) -> Iterator[tuple[str, str]]:
+    """Places in arrays of named elements that mean now one column, now another, and why."""
+    for source in sources:
+        orders = _orders(sources, source.topic)
+        if len(orders) == 1:
+            continue
+        told = "; ".join(f"{_listed(labels) or 'no names'} in {n} messages" for labels, n in orders.items())
+        for plain, name in _by_place(source):
+            yield (
+                plain,
+                f"expected a name, since the elements change places: {told}; write the column as {name!r}",
+            )
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
+    return f"{', '.join(names[:MOST_NAMES])}{more}"
+
+
+def _with_names(source: Source) -> str:
+    return f" with {_listed(source.names)}" if source.names else ""
 
 
 def _name(topic: str, way: Way) -> str:
-    return topic + "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in way)
+    steps = (f"[{s}]" if isinstance(s, int) else f".{s.name if isinstance(s, Named) else s}" for s in way)
+    return topic + "".join(steps)
 
 
 def _plain(name: str) -> str:

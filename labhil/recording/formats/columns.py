@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import importlib
-import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, time, timedelta
 from typing import Any
 
@@ -14,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labhil.errors import MissingExtraError
+from labhil.recording.formats.notation import Notation, is_missing
+from labhil.recording.formats.time_text import Stamps, stamps_of
 from labhil.signals import FloatArray, Hold, IntArray
 
 
@@ -43,9 +44,31 @@ class Columns(ABC):
         """What a person should know of how the rows came to be, a line each."""
         return ()
 
+    @property
+    def left_out(self) -> str:
+        """What is in the file and is no column, with why, for messages; empty where that cannot be."""
+        return ""
+
     def find(self, source: str) -> tuple[int, ...]:
         """The numbers of the columns that bear this name: none, one or several."""
         return tuple(place for place, name in enumerate(self.names or ()) if name == source)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """The texts of a line of units below the header, one for each column; empty where there is none."""
+        return ()
+
+    def times(self, column: int) -> Stamps:
+        """The values of a column that holds the time, shape (rows,); dates and times of day in s."""
+        return Stamps(self.numbers(column))
+
+    def missing(self, column: int) -> NDArray[np.bool_]:
+        """Where a column has no value at all (an empty cell, no text that is no number), shape (rows,)."""
+        return np.zeros(len(self.counts), dtype=np.bool_)
+
+    def readable(self, column: int, notation: Notation) -> int:
+        """How many cells of a column would be numbers in another notation; 0 where the file knows none."""
+        return 0
 
     @abstractmethod
     def numbers(self, column: int, hold: Hold = Hold.LINEAR) -> FloatArray:
@@ -64,24 +87,55 @@ class NumberColumns(Columns):
     """Columns that are numbers in the file already: ``values`` holds one array of shape (rows,) for each."""
 
     values: Sequence[FloatArray]
+    texts: Mapping[int, Sequence[Any]] = field(default_factory=dict)
+    """What stands in the columns that are text in the file, by their number."""
 
     def numbers(self, column: int, hold: Hold = Hold.LINEAR) -> FloatArray:
         """The values of a column, shape (rows,); NaN where there is no number."""
         return self.values[column]
 
+    def times(self, column: int) -> Stamps:
+        """The values of a column that holds the time, shape (rows,); dates and times of day in s."""
+        return read_stamps(self.values[column], [cell_text(cell) for cell in self.texts.get(column, ())])
+
+    def missing(self, column: int) -> NDArray[np.bool_]:
+        """Where a column has no value at all, shape (rows,)."""
+        missing = np.isnan(self.values[column])
+        if column in self.texts:
+            missing &= np.array([cell is None or is_missing(str(cell)) for cell in self.texts[column]])
+        return missing
+
     def text(self, column: int, row: int) -> str:
         """What stands there, for messages."""
+        if column in self.texts:
+            return repr(self.texts[column][row])
         return f"{self.values[column][row]}"
 
 
-def number_columns(names: Sequence[str], values: Sequence[FloatArray]) -> NumberColumns:
+def number_columns(
+    names: Sequence[str], values: Sequence[FloatArray], texts: Mapping[int, Sequence[Any]] | None = None
+) -> NumberColumns:
     """A table with a name and an array of shape (rows,) for each column."""
     rows = len(values[0])
     counts = np.full(rows, len(names))
-    return NumberColumns(tuple(names), len(names), np.arange(1, rows + 1), counts, values)
+    return NumberColumns(tuple(names), len(names), np.arange(1, rows + 1), counts, values, texts or {})
 
 
-def number_of(cell: Any, decimal: str = ".") -> float:
+def read_stamps(numbers: FloatArray, texts: Sequence[str]) -> Stamps:
+    """The times of a column: its numbers, or its texts where more of these are dates or times of day."""
+    finite = int(np.count_nonzero(np.isfinite(numbers)))
+    found = stamps_of(texts) if finite < len(texts) else None
+    if found is not None and np.count_nonzero(np.isfinite(found.values)) > finite:
+        return found
+    return Stamps(numbers)
+
+
+def cell_text(cell: Any) -> str:
+    """The text in a cell, "" where it holds something else."""
+    return cell if isinstance(cell, str) else ""
+
+
+def number_of(cell: Any, notation: Notation = Notation()) -> float:  # noqa: B008
     """The number that a cell means: NaN for what is none; a date in s of Unix time, a duration in s."""
     if isinstance(cell, (int, float)):
         return float(cell)
@@ -91,10 +145,7 @@ def number_of(cell: Any, decimal: str = ".") -> float:
         return cell.total_seconds()
     if isinstance(cell, time):
         return 3600.0 * cell.hour + 60.0 * cell.minute + cell.second + 1e-6 * cell.microsecond
-    try:
-        return float(str(cell).replace(decimal, "."))
-    except ValueError:
-        return math.nan
+    return notation.number(str(cell))
 
 
 def the_package(module: str, package: str, purpose: str) -> Any:

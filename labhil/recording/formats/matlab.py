@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,62 +12,70 @@ import numpy as np
 
 from labhil.bounds import ImplausibleError, refuse_claim
 from labhil.errors import TableError
-from labhil.recording.formats.columns import NumberColumns, number_columns, the_package
+from labhil.recording.formats.columns import the_package
+from labhil.recording.formats.matlab_objects import advice, objects_in
+from labhil.recording.formats.variables import MOST_PARTS, Part, VariableColumns, table_of, variables_of
 from labhil.signals import FloatArray, Stream
 
 NUMBERS = "iufb"
 """numpy's letters for kinds of numbers; complex ones are none of a signal's."""
 
-NOT_NUMBERS = (b"char", b"cell", b"function_handle", b"string")
+IN_WORDS = {"char": "text", "cell": "a cell array", "function_handle": "a function", "string": "text"}
 """What MATLAB calls things that version 7.3 keeps as numbers, and that are none."""
 
+MOST_PARTS_IN_ALL = 10_000
+"""Parts of a file that are looked at; logs have some hundreds."""
 
-def read_mat(path: Path) -> NumberColumns:
+MOST_TEXT = 256
+"""Characters of a text that may be a label."""
+
+
+def read_mat(path: Path, wanted: Sequence[str] = ()) -> VariableColumns:
     """Read a MAT file of version 4 to 7: each variable a column, or several (``name_0`` …) for a matrix.
 
-    The fields of a struct are variables ``struct.field``. TableError where there are no columns.
+    The fields of a struct are variables ``struct.field``, those of a struct array ``array(1).field``.
+
+    Args:
+        path: The file.
+        wanted: Names that the rig file asks for; where variables have several lengths, theirs counts.
+
+    Raises:
+        TableError: The file cannot be read, or holds no columns.
     """
-    from scipy.io import loadmat, whosmat
+    from scipy.io import loadmat
 
     try:
-        refuse_claim("the file", _claimed(whosmat(path)), path.stat().st_size)
-        variables: dict[str, Any] = loadmat(path, struct_as_record=False)
+        with warnings.catch_warnings():
+            # scipy calls every object "None"; objects_in finds them by their own names
+            warnings.filterwarnings("ignore", 'Duplicate variable name "None"')
+            refuse_claim("the file", _claimed(path), path.stat().st_size)
+            variables: dict[str, Any] = loadmat(path, struct_as_record=False)
     except (ImplausibleError, MemoryError):
         raise
     except Exception as error:  # a cut MAT file makes scipy raise almost anything
         raise TableError(f"{path}: expected a MAT file, found one that cannot be read: {error}") from error
-    arrays = dict(_numeric_variables(variables))
-    return _as_columns(path, arrays)
+    parts = {
+        name: _part(value)
+        for name, value in variables.items()
+        if not name.startswith("_") and type(value).__name__ != "MatlabOpaque"
+    }
+    parts |= {name: Part(reason=advice(name, kind)) for name, kind in objects_in(path.read_bytes())}
+    return table_of(path, variables_of(parts), wanted)
 
 
-def read_hdf5(path: Path) -> NumberColumns:
+def read_hdf5(path: Path, wanted: Sequence[str] = ()) -> VariableColumns:
     """Read a MAT file of version 7.3, or any HDF5 file with columns, as :func:`read_mat` does."""
     h5py = the_package("h5py", "h5py", f"{path}: a MAT file of version 7.3 (HDF5)")
-    arrays: dict[str, FloatArray] = {}
-    size, claimed = path.stat().st_size, 0
-
-    def take(name: str, item: Any) -> None:
-        shape = getattr(item, "shape", None)
-        if not shape or item.dtype.kind not in NUMBERS or name.startswith("#"):
-            return
-        if item.attrs.get("MATLAB_class", b"") in NOT_NUMBERS or "MATLAB_empty" in item.attrs:
-            return
-        nonlocal claimed
-        claimed += 8 * math.prod(shape)
-        refuse_claim(f"the dataset {name!r}", claimed, size)
-        value = np.asarray(item[()], dtype=np.float64)
-        # MATLAB writes its columns as HDF5's rows
-        upright = value.T if "MATLAB_class" in item.attrs else value
-        arrays[name.replace("/", ".")] = upright[:, None] if upright.ndim == 1 else upright
-
+    size = path.stat().st_size
     try:
         with h5py.File(path, "r") as file:
-            file.visititems(take)
+            reader = _Hdf5(file, lambda dtype: h5py.check_ref_dtype(dtype) is h5py.Reference, size)
+            parts = {name: reader.part(name, item) for name, item in file.items() if name[0] != "#"}
     except ImplausibleError:
         raise
     except (OSError, RuntimeError, ValueError, KeyError) as error:
         raise TableError(f"{path}: expected an HDF5 file, found one that cannot be read: {error}") from error
-    return _as_columns(path, {name: value for name, value in arrays.items() if _is_table(value)})
+    return table_of(path, variables_of(parts), wanted)
 
 
 def write_mat(stream: Stream, t: FloatArray, values: FloatArray, out: Path) -> None:
@@ -79,42 +87,95 @@ def write_mat(stream: Stream, t: FloatArray, values: FloatArray, out: Path) -> N
         savemat(file, {"t": t[:, None], **variables}, long_field_names=True, do_compression=True)
 
 
-def _claimed(variables: Iterable[tuple[str, tuple[int, ...], str]]) -> int:
+def _claimed(path: Path) -> int:
     """Bytes that the variables of a MAT file would take as numbers."""
+    from scipy.io import whosmat
+
+    try:
+        variables = whosmat(path)
+    except TypeError:  # scipy finds no shape for MATLAB's objects: the bounds of the reader's process remain
+        return 0
     return sum(8 * math.prod(shape) for _, shape, _ in variables)
 
 
-def _numeric_variables(variables: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, FloatArray]]:
-    for name, value in variables.items():
-        if name.startswith("_") or not isinstance(value, np.ndarray):
-            continue
-        if value.dtype.kind in NUMBERS:
-            array = np.asarray(value, dtype=np.float64)
-            if _is_table(array):
-                yield f"{prefix}{name}", array
-        elif value.dtype == object and value.size == 1 and hasattr(value.flat[0], "_fieldnames"):
-            yield from _numeric_variables(vars(value.flat[0]), f"{prefix}{name}.")
+def _part(value: Any) -> Part:
+    """What scipy read, as a part of a file."""
+    if hasattr(value, "_fieldnames"):
+        return Part(fields={name: _part(getattr(value, name)) for name in value._fieldnames})
+    if not isinstance(value, np.ndarray):
+        return Part(reason="a sparse matrix" if hasattr(value, "toarray") else type(value).__name__)
+    if value.dtype == object and value.size:
+        return _elements(list(value.ravel(order="F")))
+    if value.dtype.kind in NUMBERS:
+        return Part(array=np.atleast_2d(np.asarray(value, dtype=np.float64)))
+    text = "".join(value.ravel().tolist())[:MOST_TEXT] if value.dtype.kind in "US" else ""
+    reasons = {"c": "complex numbers", "O": "empty", "U": "text", "S": "text", "V": "a MATLAB object"}
+    return Part(reason=reasons.get(value.dtype.kind, f"numpy's {value.dtype}"), text=text)
 
 
-def _is_table(value: FloatArray) -> bool:
-    return value.ndim == 2 and value.size > 0
+def _elements(values: Sequence[Any]) -> Part:
+    """A struct, a struct array or a cell; of many elements no more than tell that they are too many."""
+    parts = [_part(one) for one in values[: MOST_PARTS + 1]]
+    if not all(hasattr(one, "_fieldnames") for one in values):
+        return Part(elements=parts, braces="{}")
+    return parts[0] if len(parts) == 1 else Part(elements=parts)
 
 
-def _as_columns(path: Path, arrays: Mapping[str, FloatArray]) -> NumberColumns:
-    """Variables of the most frequent length are columns; scalars and settings beside them do not count."""
-    if not arrays:
-        raise TableError(f"{path}: expected variables that are columns of numbers, found none")
-    sizes: Counter[int] = Counter()
-    for value in arrays.values():
-        sizes[max(value.shape)] += value.size
-    rows = sizes.most_common(1)[0][0]
-    names: list[str] = []
-    columns: list[FloatArray] = []
-    for name, value in arrays.items():
-        upright = value if value.shape[0] == rows else value.T
-        if upright.shape[0] != rows:
-            continue  # a scalar or a table of something else
-        count = upright.shape[1]
-        names += [name] if count == 1 else [f"{name}_{column}" for column in range(count)]
-        columns += list(upright.T)
-    return number_columns(names, columns)
+class _Hdf5:
+    """Takes an HDF5 file of ``size`` bytes apart.
+
+    ``references`` says whether a dataset's elements point to others.
+    """
+
+    def __init__(self, file: Any, references: Callable[[Any], bool], size: int) -> None:
+        self._file = file
+        self._references = references
+        self._size = size
+        self._claimed = 0
+        self._left = MOST_PARTS_IN_ALL
+
+    def part(self, name: str, item: Any) -> Part:
+        """The variable ``name``, or a part of it."""
+        self._left -= 1
+        if self._left < 0:  # parts may point to one another without an end
+            return Part(reason=f"more than {MOST_PARTS_IN_ALL} parts in the file")
+        kind = _decoded(item.attrs.get("MATLAB_class", b""))
+        if "MATLAB_object_decode" in item.attrs and kind not in IN_WORDS:
+            return Part(reason=advice(name, kind))
+        if not hasattr(item, "dtype"):
+            return _struct({key: self.part(name, inner) for key, inner in item.items()})
+        return self._dataset(name, item, kind)
+
+    def _dataset(self, name: str, item: Any, kind: str) -> Part:
+        if "MATLAB_empty" in item.attrs or not item.shape or not item.size:
+            return Part(reason="empty")
+        if self._references(item.dtype):
+            inner = self._values(name, item).ravel()[: MOST_PARTS + 1]
+            parts = [self.part(name, self._file[one]) if one else Part(reason="empty") for one in inner]
+            return Part(elements=parts, braces="{}" if kind == "cell" else "()")
+        if item.dtype.kind not in NUMBERS or kind in IN_WORDS:
+            text = "".join(map(chr, self._values(name, item).ravel()[:MOST_TEXT])) if kind == "char" else ""
+            return Part(reason=IN_WORDS.get(kind, f"HDF5's {item.dtype}"), text=text)
+        value = np.asarray(self._values(name, item), dtype=np.float64)
+        # MATLAB writes its columns as HDF5's rows
+        turned = value.T if kind or value.ndim > 2 else value
+        return Part(array=turned[:, None] if turned.ndim == 1 else turned)
+
+    def _values(self, name: str, item: Any) -> Any:
+        """Read a dataset; ImplausibleError where all those read claim more than the file can hold."""
+        self._claimed += 8 * math.prod(item.shape)
+        refuse_claim(f"the dataset {name!r}", self._claimed, self._size)
+        return item[()]
+
+
+def _struct(fields: Mapping[str, Part]) -> Part:
+    """A struct; an array of them where every field has as many elements, as version 7.3 keeps those."""
+    counts = {len(part.elements) if part.braces == "()" else 0 for part in fields.values()}
+    if len(counts) != 1 or counts == {0}:
+        return Part(fields=fields)
+    rows = zip(*(part.elements for part in fields.values()), strict=True)
+    return Part(elements=[Part(fields=dict(zip(fields, row, strict=True))) for row in rows])
+
+
+def _decoded(text: Any) -> str:
+    return text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text)

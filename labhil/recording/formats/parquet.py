@@ -32,13 +32,16 @@ def read_parquet(path: Path) -> NumberColumns:
         ) from error
     names: list[str] = []
     columns: list[FloatArray] = []
+    texts: dict[int, list[Any]] = {}
     for name, column in zip(table.column_names, table.columns, strict=True):
+        if arrow.types.is_string(column.type) or arrow.types.is_large_string(column.type):
+            texts[len(names)] = column.to_pylist()
         for suffix, values in _numbers(arrow, column):
             names.append(f"{name}{suffix}")
             columns.append(values)
     if not names or not len(columns[0]):
         raise TableError(f"{path}: expected columns with rows, found {len(names)} columns and no rows")
-    return number_columns(names, columns)
+    return number_columns(names, columns, texts)
 
 
 def _refuse_claims(metadata: Any, size: int) -> None:

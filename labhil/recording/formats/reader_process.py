@@ -30,8 +30,8 @@ IDLE_SECONDS = 60.0
 """Without a request for that long the process ends; the next one costs half a second to start."""
 
 READERS: dict[str, Callable[[Path, Table, Sequence[str]], Columns]] = {
-    "mat": lambda path, table, wanted: read_mat(path),
-    "hdf5": lambda path, table, wanted: read_hdf5(path),
+    "mat": lambda path, table, wanted: read_mat(path, wanted),
+    "hdf5": lambda path, table, wanted: read_hdf5(path, wanted),
     "parquet": lambda path, table, wanted: read_parquet(path),
     "workbook": read_workbook,
     "bag": lambda path, table, wanted: read_bag(path, wanted),

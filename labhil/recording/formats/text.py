@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labhil.errors import TableError
-from labhil.recording.formats.columns import Columns
+from labhil.recording.formats.columns import Columns, read_stamps
+from labhil.recording.formats.notation import Notation, is_missing
+from labhil.recording.formats.time_text import Stamps, is_time
+from labhil.recording.units import is_units_line
 from labhil.rig import Table
 from labhil.signals import FloatArray, Hold
 
 DELIMITERS: Mapping[str, str | None] = {"comma": ",", "semicolon": ";", "tab": "\t", "whitespace": None}
 SAMPLE_LINES = 50
+
+QUOTED = re.compile(r'"[^"]*"')
+QUOTED_NUMBER = re.compile(r'"[^",]*\d[.,\' ]\d[^"]*"')
+"""A number in quotation marks that holds a mark inside."""
 
 
 @dataclass(frozen=True)
@@ -24,26 +33,38 @@ class TextColumns(Columns):
     """Columns of a text file; the rows are kept as fields of text until a column is asked for."""
 
     rows: Sequence[Sequence[str]]
-    decimal: str
+    notation: Notation
+    units: tuple[str, ...] = ()
 
     row_word = "line"
 
     def numbers(self, column: int, hold: Hold = Hold.LINEAR) -> FloatArray:
         """The values of a column, shape (rows,); NaN where there is no number."""
-        texts = [
-            row[column] if good else "" for row, good in zip(self.rows, self.complete.tolist(), strict=True)
-        ]
-        if self.decimal != ".":
-            texts = [text.replace(self.decimal, ".") for text in texts]
-        try:
-            return np.array(list(map(float, texts)), dtype=np.float64)
-        except ValueError:
-            return np.array([_number(text) for text in texts], dtype=np.float64)
+        return self.notation.numbers(self._texts(column))
+
+    def times(self, column: int) -> Stamps:
+        """The values of a column that holds the time, shape (rows,); dates and times of day in s."""
+        texts = self._texts(column)
+        return read_stamps(self.notation.numbers(texts), texts)
+
+    def missing(self, column: int) -> NDArray[np.bool_]:
+        """Where a column has no value at all in a row with the right number of fields, shape (rows,)."""
+        missing = np.array([is_missing(text) for text in self._texts(column)], dtype=np.bool_)
+        return missing & self.complete
+
+    def readable(self, column: int, notation: Notation) -> int:
+        """How many cells of a column would be numbers in another notation."""
+        return int(np.count_nonzero(np.isfinite(notation.numbers(self._texts(column)))))
 
     def text(self, column: int, row: int) -> str:
         """What stands there, for messages."""
         fields = self.rows[row]
         return repr(fields[column].strip()) if column < len(fields) else "nothing"
+
+    def _texts(self, column: int) -> list[str]:
+        return [
+            row[column] if good else "" for row, good in zip(self.rows, self.complete.tolist(), strict=True)
+        ]
 
 
 def read_text(path: Path, data: bytes, table: Table, wanted: Collection[str]) -> TextColumns:
@@ -70,21 +91,35 @@ def _read_text(path: Path, text: str, table: Table, wanted: Collection[str]) -> 
     numbered = _lines(text, table)
     if not numbered:
         raise TableError(f"{path}: expected a table, found no rows (after skip_rows = {table.skip_rows})")
-    delimiter = DELIMITERS[table.delimiter or _delimiter(path, [line for _, line in numbered], table)]
-    if delimiter == table.decimal:
-        raise TableError(f"{path}: [table] delimiter and decimal are both {delimiter!r}; they must differ")
-    rows = [_split(line, delimiter) for _, line in numbered]
+    texts = [line for _, line in numbered]
+    delimiter = DELIMITERS[table.delimiter or _delimiter(path, texts, table)]
+    _refuse_marks(path, texts, delimiter, table)
+    rows = [_split(line, delimiter) for line in texts]
     lines = np.array([number for number, _ in numbered], dtype=np.int64)
-    names = None
+    names, units = None, tuple[str, ...]()
     if _has_header(rows[0], table, wanted):
         names = tuple(field.strip().strip("\"'") for field in rows[0])
         rows, lines = rows[1:], lines[1:]
+        if rows and len(rows[0]) == len(names) and is_units_line(rows[0]):
+            units = tuple(rows[0])
+            rows, lines = rows[1:], lines[1:]
     counts = np.array([len(row) for row in rows], dtype=np.int64)
     width = len(names) if names is not None else int(np.bincount(counts).argmax())
     if not (counts == width).any():
         found = f"{counts[0]} fields in line {lines[0]}" if len(rows) else "no rows below it"
         raise TableError(f"{path}: expected {width} fields a row, as in its header, found {found}")
-    return TextColumns(names, width, lines, counts, rows, table.decimal)
+    return TextColumns(names, width, lines, counts, rows, Notation.of(table), units)
+
+
+def _refuse_marks(path: Path, lines: Sequence[str], delimiter: str | None, table: Table) -> None:
+    """Raise TableError where a mark inside numbers also parts the fields, and nothing is quoted."""
+    for key, mark in (("decimal", table.decimal), ("thousands", table.thousands)):
+        parts = mark is not None and (mark == delimiter or (mark == " " and delimiter is None))
+        if parts and not any(map(QUOTED_NUMBER.search, lines)):
+            raise TableError(
+                f"{path}: [table] delimiter and {key} are both {mark!r}; they must differ, "
+                f"or numbers with {mark!r} must stand in quotation marks"
+            )
 
 
 def _lines(text: str, table: Table) -> list[tuple[int, str]]:
@@ -97,17 +132,30 @@ def _lines(text: str, table: Table) -> list[tuple[int, str]]:
 
 
 def _delimiter(path: Path, lines: Sequence[str], table: Table) -> str:
-    """Tell the delimiter by the extension, and by what the lines hold."""
-    sample = lines[:SAMPLE_LINES]
+    """Find the delimiter by the extension, and by what the lines hold outside quotation marks.
+
+    Semicolon, comma, tab and blanks are tried in this order. The first one counts that parts the first line,
+    which may be a header, into as many fields as most others: a decimal comma is in no header.
+    """
     if path.suffix.lower() in {".tsv", ".tab"}:
         return "tab"
-    candidates = ("semicolon", "comma") if table.decimal == "." else ("semicolon",)
-    for name in candidates:
-        if np.median([line.count(str(DELIMITERS[name])) for line in sample]) >= 1:
+    quoted = any(map(QUOTED_NUMBER.search, lines[:SAMPLE_LINES]))
+    sample = [QUOTED.sub("q", line).strip(" ") for line in lines[:SAMPLE_LINES]]
+    names = [name for name in DELIMITERS if name != "comma" or table.decimal == "." or quoted]
+    usual: dict[str, int] = {}
+    for name in names:
+        counts = Counter(len(line.split(DELIMITERS[name])) for line in sample)
+        usual[name] = counts.most_common(1)[0][0]
+        if (
+            usual[name] > 1
+            and len(sample[0].split(DELIMITERS[name])) == usual[name]
+            and (name != "whitespace" or counts[usual[name]] == len(sample))
+        ):
             return name
-    if _agreement(sample, "\t") > _agreement(sample, None):
-        return "tab"
-    return "whitespace"
+    for name in ("semicolon", "comma"):
+        if usual.get(name, 1) > 1:
+            return name
+    return "tab" if _agreement(sample, "\t") > _agreement(sample, None) else "whitespace"
 
 
 def _agreement(lines: Sequence[str], delimiter: str | None) -> float:
@@ -129,12 +177,5 @@ def _has_header(fields: Sequence[str], table: Table, wanted: Collection[str]) ->
     names = [field.strip().strip("\"'") for field in fields]
     if not set(names).isdisjoint(wanted):
         return True
-    numbers = [_number(name.replace(table.decimal, ".")) for name in names if name]
-    return bool(np.isnan(numbers).all())
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return float("nan")
+    notation = Notation.of(table)
+    return all(np.isnan(notation.number(name)) and not is_time(name) for name in names if name)

@@ -10,23 +10,31 @@ import json
 import struct
 from collections.abc import Callable, Mapping
 from datetime import datetime, time, timedelta
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labhil.recording.formats import bag, columns, workbook
+from labhil.recording.formats.bag import BagColumns
+from labhil.recording.formats.bag_messages import Named, Source
+from labhil.recording.formats.columns import NumberColumns
+from labhil.recording.formats.notation import Notation
+from labhil.recording.formats.variables import VariableColumns
+from labhil.recording.formats.workbook import SheetColumns
 
 HEAD = struct.Struct("<QQ")
 """Before each answer: the bytes of its JSON, and of the arrays after it."""
 
 _CLASSES = {
-    kind.__name__: kind for kind in (columns.NumberColumns, workbook.SheetColumns, bag.BagColumns, bag._Topic)
+    kind.__name__: kind
+    for kind in (NumberColumns, VariableColumns, SheetColumns, Notation, BagColumns, Source, Named)
 }
 _DTYPES = ("<f8", "<i8", "|b1")
 _CELLS: dict[str, Callable[[Any], Any]] = {
     "datetime": datetime.fromisoformat,
     "time": time.fromisoformat,
+    "path": Path,
     "timedelta": lambda seconds: timedelta(seconds=seconds),
 }
 _COLLECTIONS: dict[str, Callable[[Any], Any]] = {"tuple": tuple, "set": set}
@@ -42,7 +50,7 @@ def pack(answer: dict[str, Any]) -> bytes:
 
 
 def parse_answer(text: bytes) -> dict[str, Any]:
-    """Return the JSON part of an answer, with the cells of workbooks as what they are."""
+    """Return the JSON part of an answer, with paths and the cells of workbooks as what they are."""
     answer: dict[str, Any] = json.loads(text, object_hook=_cell_of)
     return answer
 
@@ -99,6 +107,8 @@ def _cell(value: Any) -> Any:
     """A cell that JSON has no name for."""
     if isinstance(value, (datetime, time)):
         return {"datetime" if isinstance(value, datetime) else "time": value.isoformat()}
+    if isinstance(value, Path):
+        return {"path": str(value)}
     if isinstance(value, timedelta):
         return {"timedelta": value.total_seconds()}
     return str(value)

@@ -8,15 +8,20 @@ import zipfile
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from datetime import datetime, time
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labhil.bounds import ImplausibleError, refuse_claim
 from labhil.errors import TableError, UsageError, suggestion
-from labhil.recording.formats.columns import Columns, number_of, the_package
+from labhil.recording.formats.columns import Columns, cell_text, number_of, read_stamps, the_package
+from labhil.recording.formats.notation import Notation, is_missing
+from labhil.recording.formats.time_text import Stamps, TimeKind
+from labhil.recording.units import is_units_line
 from labhil.rig import Table
 from labhil.signals import FloatArray, Hold, Stream
 
@@ -33,18 +38,42 @@ class SheetColumns(Columns):
     """Columns of a sheet; cells stay as they are until a column is asked for."""
 
     rows: Sequence[Sequence[Any]]
-    decimal: str
+    notation: Notation
+    units: tuple[str, ...] = ()
 
     def numbers(self, column: int, hold: Hold = Hold.LINEAR) -> FloatArray:
         """The values of a column, shape (rows,); NaN where there is no number."""
-        cells = (row[column] if column < len(row) else None for row in self.rows)
-        return np.array([number_of(cell, self.decimal) for cell in cells], dtype=np.float64)
+        return np.array([number_of(cell, self.notation) for cell in self._cells(column)], dtype=np.float64)
+
+    def times(self, column: int) -> Stamps:
+        """The values of a column that holds the time, shape (rows,); dates and times of day in s."""
+        cells = self._cells(column)
+        found = read_stamps(self.numbers(column), [cell_text(cell) for cell in cells])
+        if found.kind is not TimeKind.NUMBER:
+            return found
+        kinds = {datetime: TimeKind.DATE, time: TimeKind.OF_DAY}
+        first = next((cell for cell in cells if cell is not None), None)
+        return Stamps(found.values, kinds.get(type(first), TimeKind.NUMBER))
+
+    def missing(self, column: int) -> NDArray[np.bool_]:
+        """Where a column has no value at all, shape (rows,)."""
+        return np.array(
+            [cell is None or (isinstance(cell, str) and is_missing(cell)) for cell in self._cells(column)]
+        )
+
+    def readable(self, column: int, notation: Notation) -> int:
+        """How many cells of a column would be numbers in another notation."""
+        values = np.array([number_of(cell, notation) for cell in self._cells(column)], dtype=np.float64)
+        return int(np.count_nonzero(np.isfinite(values)))
 
     def text(self, column: int, row: int) -> str:
         """What stands there, for messages."""
         cells = self.rows[row]
         found = cells[column] if column < len(cells) else None
         return "an empty cell" if found is None else repr(found)
+
+    def _cells(self, column: int) -> list[Any]:
+        return [row[column] if column < len(row) else None for row in self.rows]
 
 
 def read_workbook(path: Path, table: Table, wanted: Sequence[str]) -> SheetColumns:
@@ -74,6 +103,9 @@ def read_workbook(path: Path, table: Table, wanted: Sequence[str]) -> SheetColum
     if _has_header(cells[0][1], table, wanted):
         names = tuple("" if cell is None else str(cell).strip() for cell in cells[0][1])
         cells = cells[1:]
+    units: tuple[str, ...] = ()
+    if names is not None and cells and is_units_line(texts := [cell_text(cell) for cell in cells[0][1]]):
+        units, cells = tuple(texts + [""] * (len(names) - len(texts))), cells[1:]
     if not cells:
         raise TableError(f"{path}: expected rows below the header, found no rows below it")
     filled = np.array([len(row) for _, row in cells], dtype=np.int64)
@@ -81,7 +113,8 @@ def read_workbook(path: Path, table: Table, wanted: Sequence[str]) -> SheetColum
     lines = np.array([number for number, _ in cells], dtype=np.int64)
     # empty cells at the end are not stored: too few of them are empty fields, too many are too many
     counts = np.maximum(filled, width)
-    return SheetColumns(names, width, lines, counts, [row for _, row in cells], table.decimal)
+    rows = [row for _, row in cells]
+    return SheetColumns(names, width, lines, counts, rows, Notation.of(table), units)
 
 
 def write_workbook(stream: Stream, t: FloatArray, values: FloatArray, out: Path) -> None:
@@ -164,4 +197,4 @@ def _has_header(cells: Sequence[Any], table: Table, wanted: Sequence[str]) -> bo
     texts = {str(cell).strip() for cell in cells if cell is not None}
     if not texts.isdisjoint(wanted):
         return True
-    return all(math.isnan(number_of(cell, table.decimal)) for cell in cells)
+    return all(math.isnan(number_of(cell, Notation.of(table))) for cell in cells)

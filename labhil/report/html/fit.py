@@ -63,7 +63,8 @@ def _headline(fit: FitPart) -> str:
     judge, data = _judge(fit)
     number = len(fit.parameters)
     what = "1 parameter" if number == 1 else f"{number} parameters"
-    return f"A model of {fit.rig} with {what}: R² {percent(judge.r2)} on {data}."
+    found = f"A model of {fit.rig} with {what}: R² {percent(judge.r2)} on {data}."
+    return found if fit.statement is None else f"{fit.statement} {found}"
 
 
 def _lead(fit: FitPart) -> tuple[Content, ...]:
@@ -79,7 +80,18 @@ def _lead(fit: FitPart) -> tuple[Content, ...]:
     )
     terms = tag("p", "Terms: ", names(fit.terms), ".", class_="lead")
     unsettled = None if fit.converged else warning("The search stopped before it had settled.")
-    return terms, unsettled, figures
+    return terms, *map(warning, fit.doubts), unsettled, _incomplete(fit), figures
+
+
+def _incomplete(fit: FitPart) -> Markup | None:
+    """What intervals stand for where the model leaves more than noise."""
+    if fit.verdict in (None, "explained"):
+        return None
+    return warning(
+        "The model leaves more than noise. Intervals hold how far the estimates move with the length of the "
+        "windows, not what all lengths have in common; no parameter is called significant. labhil diagnose "
+        "looks for what is missing."
+    )
 
 
 def _parameters(fit: FitPart, album: Album) -> Section | None:
@@ -90,8 +102,8 @@ def _parameters(fit: FitPart, album: Album) -> Section | None:
     )
     return section(
         "Parameters",
-        parameters_table(fit.parameters, caption, reference=True),
-        intervals_picture(album, fit.parameters),
+        parameters_table(fit.judged_rows, caption, reference=True),
+        intervals_picture(album, fit.judged_rows),
     )
 
 

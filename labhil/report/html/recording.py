@@ -33,7 +33,7 @@ def recording_page(recording: Recording, foot: str, album: Album) -> Page:
         tone="plain",
         lead=_lead(recording),
         sections=present(
-            section("Streams", _streams(recording), *_gaps(recording)),
+            section("Streams", _streams(recording), *_clock_faults(recording), *_gaps(recording)),
             *(_signals(data, album) for data in recording.streams),
             _events(recording),
             *(_attachment(name, content) for name, content in recording.attachments.items()),
@@ -99,6 +99,12 @@ def _name(data: StreamData) -> str:
 def _holes(data: StreamData) -> IntArray:
     """Rows after which samples are missing, as indices."""
     return np.asarray(np.flatnonzero(np.diff(data.seq) > 1), dtype=np.int64)
+
+
+def _clock_faults(recording: Recording) -> Iterator[Markup]:
+    for data in recording.streams:
+        for fault in data.clock_faults:
+            yield warning(f"{_name(data)}: {fault.statement}")
 
 
 def _gaps(recording: Recording) -> Iterator[Markup]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
-from labhil.errors import ModelFileError
+from labhil.errors import ModelFileError, RecordingError, UsageError
 from labhil.recording.chunks import is_mcap
 from labhil.recording.reader import read_recording
 from labhil.report.html.diagnosis import diagnosis_page
@@ -16,15 +16,20 @@ from labhil.report.html.recording import recording_page
 from labhil.report.html.schema import DiagnosisPart, json_of, result_of
 
 
-def report_page(path: Path) -> Page:
-    """The page of a recording, or of the JSON of a fit or a diagnosis.
+def report_page(path: Path, run: int | None = None) -> Page:
+    """The page of a recording (of its ``run``, where it holds several), or of the JSON of a result.
 
     Raises RecordingError or ModelFileError when the file is neither, with what was expected.
     """
     data = _bytes_of(path)
     foot = f"Made from {path}, SHA-256 {hashlib.sha256(data).hexdigest()}."
     if is_mcap(data) or path.suffix == ".mcap":
-        return recording_page(read_recording(path), f"Made from {path}.", Album())
+        recording = read_recording(path, run)
+        if recording.foreign and not recording.streams:
+            raise RecordingError(f"{path}: expected streams to show, found {recording.no_streams()}")
+        return recording_page(recording, f"Made from {path}.", Album())
+    if run is not None:
+        raise UsageError(f"--run {run}: expected a recording, found {path}")
     result = result_of(json_of(data, str(path)), str(path))
     if isinstance(result, DiagnosisPart):
         return diagnosis_page(result, foot, Album())

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from labhil.documents import parse_json
 from labhil.errors import ModelFileError
 from labhil.physics.terms import keyed
+from labhil.report.verdicts import fit_verdict
 
 Number = float | None
 Interval = tuple[Number, Number]
@@ -139,6 +140,9 @@ class FitPart(Part):
     rig: str
     estimator: str = ""
     seed: int = 0
+    verdict: Literal["explained", "unexplained", "worse_than_mean"] | None = None
+    residual_over_noise: dict[str, Number] = {}
+    doubts: tuple[str, ...] = ()
     terms: tuple[str, ...]
     parameters: tuple[ParameterRow, ...]
     covariance: tuple[tuple[Number, ...], ...] = ()
@@ -152,6 +156,22 @@ class FitPart(Part):
     converged: bool = True
     evaluations: int = 0
     seconds: Number = None
+
+    @property
+    def statement(self) -> str | None:
+        """The verdict as a line; None of a result that has none."""
+        if self.verdict is None:
+            return None
+        scores = [self.train] if self.test is None else [self.train, self.test]
+        r2 = [row.r2 for score in scores for row in score.per_channel if row.r2 is not None]
+        return fit_verdict(self.verdict, self.residual_over_noise, min(r2, default=None))
+
+    @property
+    def judged_rows(self) -> tuple[ParameterRow, ...]:
+        """The parameters; of a model that does not explain its data none is called significant or not."""
+        if self.verdict in (None, "explained"):
+            return self.parameters
+        return tuple(row.model_copy(update={"significant": None}) for row in self.parameters)
 
 
 class BaselinePart(Part):

@@ -1,0 +1,160 @@
+"""Who may command: messages carry a code that only a holder of the session's key can make.
+
+The key never travels on the bus. It stands in a file that only this user can read
+(:mod:`labhil.bus.register`), so the operating system decides who has it. The code stands in the attachment
+of a message: sender, number and time, then one code for each key that the sender holds, over all of that,
+the key expression and the payload. Loopback only: the time is the machine's monotonic clock, which no step
+of the wall clock moves.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import secrets
+import struct
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from hashlib import blake2b
+
+from labhil.errors import LabhilError
+
+KEY_BYTES = 32
+CODE_BYTES = 16
+"""128 bits: nobody guesses one within a session, and a setpoint grows by 41 bytes only."""
+
+HEAD = struct.Struct(">B8sQQ")
+VERSION = 1
+MOST_KEYS = 16
+"""Codes looked at in one message: as many buses of one user as anybody runs at a time."""
+
+OLDEST = 10.0
+"""s that a message may be on its way: longer than any question of ours waits for its answer."""
+
+WINDOW = 64
+"""Numbers below the highest that may still come: two threads of one process may overtake each other."""
+
+
+def new_key() -> bytes:
+    """Draw the key of a session."""
+    return secrets.token_bytes(KEY_BYTES)
+
+
+class Signer:
+    """Signs messages with one or more keys; safe from any thread."""
+
+    def __init__(self, keys: Sequence[bytes]) -> None:
+        self._keys = tuple(keys)[:MOST_KEYS]
+        self._sender = secrets.token_bytes(8)
+        self._numbers = itertools.count(1)
+
+    def sign(self, key_expression: str, payload: bytes) -> bytes:
+        """Return the attachment of a message."""
+        head = HEAD.pack(VERSION, self._sender, next(self._numbers), time.monotonic_ns())
+        return head + b"".join(_code(key, head, key_expression, payload) for key in self._keys)
+
+
+@dataclass(slots=True)
+class _Seen:
+    """Numbers that came from one sender: the highest, and which of the ``WINDOW`` below it."""
+
+    highest: int = 0
+    below: int = 0
+    at_ns: int = 0
+
+    def is_new(self, number: int) -> bool:
+        back = self.highest - number
+        return back < 0 or (0 < back <= WINDOW and not self.below >> (back - 1) & 1)
+
+    def take(self, number: int) -> None:
+        forward = number - self.highest
+        if forward > 0:
+            shifted = (self.below << 1 | 1) << (forward - 1) if self.highest else 0
+            self.below, self.highest = shifted & ((1 << WINDOW) - 1), number
+        else:
+            self.below |= 1 << (-forward - 1)
+
+
+class Verifier:
+    """Checks the messages of one place (a queryable, a subscription); used by one thread."""
+
+    def __init__(self, keys: Sequence[bytes]) -> None:
+        self._keys = tuple(keys)
+        self._began_ns = time.monotonic_ns()
+        self._seen: dict[bytes, _Seen] = {}
+
+    def objection(self, key_expression: str, payload: bytes, attachment: bytes | None) -> str:
+        """Return why the message is refused; empty where it is from a holder of the key, and new."""
+        if not attachment:
+            return "not authenticated: it has no code of this session's key"
+        codes, odd = divmod(len(attachment) - HEAD.size, CODE_BYTES)
+        if odd or not 0 < codes <= MOST_KEYS or attachment[0] != VERSION:
+            return "not authenticated: its code is malformed"
+        head = attachment[: HEAD.size]
+        if not self._is_ours(head, key_expression, payload, attachment[HEAD.size :]):
+            return "not authenticated: its code was not made with this session's key"
+        _, sender, number, t_ns = HEAD.unpack(head)
+        now = time.monotonic_ns()
+        # what was sent before this place existed can only be a copy
+        if t_ns < self._began_ns or not -OLDEST * 1e9 < now - t_ns < OLDEST * 1e9:
+            return "replayed: its code was made at another time"
+        seen = self._seen.get(sender) or _Seen()
+        if not seen.is_new(number):
+            return "replayed: a message of this number came before"
+        seen.take(number)
+        seen.at_ns = now
+        if sender not in self._seen:
+            self._forget(now)
+            self._seen[sender] = seen
+        return ""
+
+    def _is_ours(self, head: bytes, key_expression: str, payload: bytes, codes: bytes) -> bool:
+        found = [codes[start : start + CODE_BYTES] for start in range(0, len(codes), CODE_BYTES)]
+        wanted = [_code(key, head, key_expression, payload) for key in self._keys]
+        return any(secrets.compare_digest(code, each) for code in found for each in wanted)
+
+    def _forget(self, now: int) -> None:
+        """Senders of whom nothing can come any more that is not refused as too old."""
+        self._seen = {s: seen for s, seen in self._seen.items() if now - seen.at_ns < 2 * OLDEST * 1e9}
+
+
+class Refusals:
+    """Counts what was refused, and reports it at most once a second and place; safe from any thread."""
+
+    def __init__(self, report: Callable[[str], object] | None = None, every: float = 1.0) -> None:
+        self.counts: dict[str, int] = {}
+        self._report = report
+        self._every = every
+        self._lock = threading.Lock()
+        self._reported: dict[str, tuple[float, int]] = {}
+
+    @property
+    def total(self) -> int:
+        """How many messages were refused."""
+        return sum(self.counts.values())
+
+    def note(self, place: str, reason: str) -> None:
+        """Count a refusal at ``place`` and report it, unless one there was reported a moment ago."""
+        now = time.monotonic()
+        with self._lock:
+            self.counts[place] = count = self.counts.get(place, 0) + 1
+            at, before = self._reported.get(place, (float("-inf"), 0))
+            if now - at < self._every:
+                return
+            self._reported[place] = (now, count)
+        if self._report is not None:
+            further = f" ({count - before} since the last report, {count} in all)" if count > 1 else ""
+            # a bus that cannot take the report is noticed by whoever looks after it
+            with contextlib.suppress(LabhilError):
+                self._report(f"refused at {place}: {reason}{further}")
+
+
+def _code(key: bytes, head: bytes, key_expression: str, payload: bytes) -> bytes:
+    where = key_expression.encode("utf-8", "replace")
+    code = blake2b(head, key=key, digest_size=CODE_BYTES, person=b"labhil command")
+    code.update(struct.pack(">I", len(where)))
+    code.update(where)
+    code.update(payload)
+    return code.digest()

@@ -1,0 +1,125 @@
+"""When an input acts, by the rig's own model: held or straight between samples, and stamped late or not.
+
+Half a sample is little beside what physics a model may lack, so nothing is concluded unless the better of two
+fits leaves no more than noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from labhil.diagnose.fault import Fault, Kind
+from labhil.diagnose.intake import TOLERATED, faults_of
+from labhil.errors import UsageError
+from labhil.identify.fitted import Fitted, fit_terms
+from labhil.identify.windows import noise_of
+from labhil.physics.model import Metric, Model, Record
+from labhil.signals import FloatArray, Hold
+
+MOST_SAMPLES = 1000
+"""That fits compare: what half a sample does to a simulation is far above the noise in fewer."""
+
+FEWEST_SAMPLES = 200
+"""From which they are compared."""
+
+IN_HORIZONS = 0.1875
+"""Length of their windows: short ones lead to the neighbourhood of the estimates from any start."""
+
+TO_THE_NOISE = 1.2
+"""RMSE over noise up to which a model is right enough to time an input: what it lacks looks like delay."""
+
+FAR_BETTER = 20.0
+"""Difference of log likelihoods: odds of 1 to 5e8, for what then counts as known."""
+
+FURTHEST = 2
+"""Samples of lead that are tried."""
+
+TERMS = ("viscous_friction", "coulomb_friction")
+"""What nearly every rig has, and what delays its answers."""
+
+
+def all_faults(model: Model, record: Record) -> tuple[Fault, ...]:
+    """The faults that a record shows by itself, and a late input that only the rig's model shows."""
+    found = faults_of(record)
+    if any(fault.share > TOLERATED.get(fault.kind, 1.0) for fault in found):
+        return found
+    late = late_input(model, record)
+    return found if late is None else (*found, late)
+
+
+def better_hold(model: Model, record: Record) -> Hold | None:
+    """How the one input of a record runs between samples, as fits tell; None where they are not sure."""
+    part = _part(model, record)
+    if part is None:
+        return None
+    fits = _fits(model, [replace(part, input_holds=(hold,)) for hold in Hold])
+    best = _clearly_best(fits)
+    return None if best is None else tuple(Hold)[best]
+
+
+def late_input(model: Model, record: Record) -> Fault | None:
+    """The fault of an input that is stamped late: the model fits to the noise with it earlier, and only then.
+
+    Only one recording with one input is looked at.
+    """
+    part = _part(model, record)
+    if part is None:
+        return None
+    fits = _fits(model, [_earlier(part, samples) for samples in range(FURTHEST + 1)])
+    best = _clearly_best(fits)
+    if not best:
+        return None
+    name, shift = record.input_names[0], -best * record.period
+    count = f"{best} sample{'s' if best > 1 else ''}"
+    say = (
+        f"The outputs answer {name} {-shift:.3g} s ({count}) before it changes: "
+        f"the model fits to the noise with {name} as much earlier, and not as it is stamped. Stamp both by "
+        f"one clock, or import the table again with `[channels] {name} = {{ …, shift = {shift:.6g} }}`."
+    )
+    whole = ((float(record.t[0]), float(record.t[-1])),)
+    return Fault(Kind.LEAD, name, None, whole, 1.0, say)
+
+
+def _part(model: Model, record: Record) -> Record | None:
+    """The samples that are compared; None where a comparison means nothing."""
+    if model.metric is not Metric.WINDOWED_SIMULATION or len(record.input_names) != 1:
+        return None
+    if len(record.begins) > 1 or not len(record) >= FEWEST_SAMPLES or np.any(np.diff(record.t) <= 0.0):
+        return None
+    part = record.part(0, MOST_SAMPLES)
+    moves = np.ptp(part.inputs) > 0.0 and np.isfinite(np.hstack([part.inputs, part.outputs])).all()
+    return part if moves else None
+
+
+def _earlier(record: Record, samples: int) -> Record:
+    """The record with its inputs so many samples earlier; at its end they stay as they were."""
+    if not samples:
+        return record
+    inputs: FloatArray = np.concatenate([record.inputs[samples:], record.inputs[-1:].repeat(samples, axis=0)])
+    # the last rows know no later input
+    return replace(record, inputs=inputs)
+
+
+def _fits(model: Model, records: Iterable[Record]) -> list[Fitted]:
+    terms = [term for term in TERMS if term in model.terms]
+    length = IN_HORIZONS * model.horizon
+    try:
+        return [
+            fit_terms(model, r, terms, length, noise_of(r), new_terms=(), thorough=False) for r in records
+        ]
+    except (UsageError, np.linalg.LinAlgError):
+        return []
+
+
+def _clearly_best(fits: list[Fitted]) -> int | None:
+    """Which fit is far better than the first, or, being the first, than all others; None where none is."""
+    if not fits:
+        return None
+    costs = np.array([fit.solution.cost for fit in fits])
+    best = int(np.argmin(costs))
+    other = costs[0] if best else np.min(costs[1:])
+    sure = other - costs[best] > 2.0 * FAR_BETTER and fits[best].noise < TO_THE_NOISE
+    return best if sure else None

@@ -1,0 +1,154 @@
+"""Rows that cannot be read: which they are, how many may go, and what a message says of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labhil.errors import TableError
+from labhil.recording.formats.notation import Notation, other_notations
+from labhil.recording.formats.time_text import is_time
+from labhil.recording.sheet import Mapped, Sheet
+from labhil.signals import FloatArray
+
+FIELD_COUNT = "field_count"
+NOT_FINITE = "not_finite"
+TIME = "time"
+
+WHY = {
+    FIELD_COUNT: "with a wrong number of fields",
+    NOT_FINITE: "with text, NaN or nothing in a mapped column",
+    TIME: "with a time that does not follow the others",
+}
+
+MOST_DROPPED = 0.01
+"""Share of the rows that may be dropped without being asked for: beyond it the losses shape what is fitted.
+One row is always allowed: a logger that is switched off cuts its last line."""
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class BadRows:
+    """Masks (rows,) of rows that are bad, by reason; ``first`` quotes the first of each reason."""
+
+    rows: int
+    masks: Mapping[str, Mask]
+    first: Mapping[str, str]
+
+    def count(self, reason: str) -> int:
+        """How many rows are bad for this reason."""
+        return int(np.count_nonzero(self.masks[reason]))
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many rows are bad, by reason."""
+        return {reason: self.count(reason) for reason in self.masks}
+
+
+Taken = Sequence[tuple[Mapped, FloatArray]]
+"""Mapped columns with their values (rows, columns), the time first where a column holds it."""
+
+
+def finite_rows(sheet: Sheet, taken: Taken) -> Mask:
+    """Which rows have the right number of fields and a finite number in every mapped column.
+
+    TableError where none has.
+    """
+    numbers = np.hstack([values for _, values in taken])
+    finite: Mask = sheet.columns.complete & np.isfinite(numbers).all(axis=1)
+    if not finite.any():
+        raise TableError(_no_good_row(sheet, taken))
+    return finite
+
+
+def bad_rows(sheet: Sheet, taken: Taken, finite: Mask, followed: Mask, excused: Mask) -> BadRows:
+    """Name the bad rows: those that are not ``finite`` or do not follow in time, unless they are ``excused``.
+
+    TableError with the first of them under ``bad_rows = "fail"``, and where more than ``MOST_DROPPED`` of the
+    rows are bad and the rig file does not ask for ``"drop"``.
+    """
+    complete = sheet.columns.complete
+    masks = {
+        FIELD_COUNT: ~complete,
+        NOT_FINITE: complete & ~finite & ~excused,
+        TIME: finite & ~followed & ~excused,
+    }
+    first = {
+        reason: _blame(sheet, taken, int(np.flatnonzero(mask)[0]))
+        for reason, mask in masks.items()
+        if mask.any()
+    }
+    found = BadRows(len(finite), masks, first)
+    total = sum(found.counts.values())
+    stated = sheet.rig.table.bad_rows
+    if total and stated == "fail":
+        row = int(np.flatnonzero(np.any(list(masks.values()), axis=0))[0])
+        raise TableError(f"{sheet.path}, {_blame(sheet, taken, row)}")
+    if total > max(1, MOST_DROPPED * len(finite)) and stated is None:
+        raise TableError(_too_many(sheet, found, total))
+    return found
+
+
+def _too_many(sheet: Sheet, found: BadRows, total: int) -> str:
+    parts = [
+        f"{found.count(reason)} {WHY[reason]}, the first in {quoted}"
+        for reason, quoted in found.first.items()
+    ]
+    return (
+        f"{sheet.path}: expected rows that can be read, found {total} of {found.rows} "
+        f"({100.0 * total / found.rows:.3g} %) that cannot: {'; '.join(parts)}. Correct what reads them, or "
+        f'write [table] bad_rows = "drop" in {sheet.rig.path} to go on without these rows'
+    )
+
+
+def _blame(sheet: Sheet, taken: Taken, row: int) -> str:
+    """What is wrong with one row, with its place."""
+    if not sheet.columns.complete[row]:
+        return f"{sheet.place(row)}: expected {sheet.columns.width} fields, found {sheet.columns.counts[row]}"
+    for one, values in taken:
+        for column, value in zip(one.columns, values[row], strict=True):
+            if not np.isfinite(value):
+                return _no_number(sheet, taken, one, column, row)
+    one, values = taken[0]
+    found = sheet.columns.text(one.columns[0], row)
+    return (
+        f"{sheet.place(row)}: expected a time that follows the others, found {found} ({values[row, 0]:g} s)"
+    )
+
+
+def _no_number(sheet: Sheet, taken: Taken, one: Mapped, column: int, row: int) -> str:
+    """That a number is missing where it should be, what stands there, and what would make a number of it."""
+    found, name = sheet.columns.text(column, row), one.signal.name
+    hint = _hint(sheet, taken, name, found.strip("'\""))
+    return (
+        f"{sheet.place(row)}: column {sheet.column(column)} ({name}): expected a finite number, "
+        f"found {found}{hint}"
+    )
+
+
+def _hint(sheet: Sheet, taken: Taken, name: str, text: str) -> str:
+    """Which keys of ``[table]`` would make a number of a text, if they make the table better as a whole."""
+    if is_time(text):
+        return "" if name == "t" else " (a date or a time of day, which counts only as t)"
+    columns = [column for one, _ in taken for column in one.columns]
+    now = sum(int(np.count_nonzero(np.isfinite(values))) for _, values in taken)
+    hints = [
+        hint
+        for notation, hint in other_notations(text, Notation.of(sheet.rig.table))
+        if sum(sheet.columns.readable(column, notation) for column in columns) > now
+    ]
+    return f" ({'; '.join(hints)})" if hints else ""
+
+
+def _no_good_row(sheet: Sheet, taken: Taken) -> str:
+    complete = np.flatnonzero(sheet.columns.complete)
+    for one, values in taken:
+        for column, scaled in zip(one.columns, values.T, strict=True):
+            if not np.isfinite(scaled).any():
+                blamed = _no_number(sheet, taken, one, column, int(complete[0]))
+                return f"{sheet.path}, {blamed}; no other row has a number there either"
+    return f"{sheet.path}: expected rows with finite numbers in all mapped columns, found none"

@@ -1,0 +1,79 @@
+"""Objects of MATLAB's own classes, which only MATLAB can take apart: their names, and what to do."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+
+COMPRESSED, MATRIX = 15, 14
+"""Types of the elements of a MAT file of version 5."""
+
+OPAQUE = 17
+"""The class of an array that is an object."""
+
+HEADER = 128
+HEAD_OF_ELEMENT = 1024
+"""Bytes in which an element's flags, name and class stand; names have at most 63 characters."""
+
+ADVICE = {
+    "timetable": "S = table2struct(timetable2table({0}), 'ToScalar', true); "
+    "S.Time = seconds(S.Time - S.Time(1))",
+    "table": "S = table2struct({0}, 'ToScalar', true)",
+    "timeseries": "S = struct('t', {0}.Time, 'x', {0}.Data)",
+    "Simulink.SimulationData.Dataset": "V = {0}{{1}}.Values; S = struct('t', V.Time, 'x', V.Data)",
+    "Simulink.SimulationOutput": "V = {0}.logsout{{1}}.Values; S = struct('t', V.Time, 'x', V.Data)",
+    "datetime": "S = struct('t', posixtime({0}))",
+    "duration": "S = struct('t', seconds({0}))",
+}
+
+
+def advice(name: str, kind: str) -> str:
+    """Why an object of the class ``kind`` is no column, and what to type in MATLAB."""
+    what = ADVICE.get(kind, "S = struct({0})").format(name)
+    return f"an object of the class {kind}; in MATLAB: {what}; save('plain.mat', '-struct', 'S')"
+
+
+def objects_in(data: bytes) -> list[tuple[str, str]]:
+    """Return name and class of every variable of a MAT file of version 5 that is an object."""
+    if data[126:128] not in (b"IM", b"MI"):
+        return []
+    order = "<" if data[126:128] == b"IM" else ">"
+    return [found for head in _heads(data, order) if (found := _object(head, order)) is not None]
+
+
+def _heads(data: bytes, order: str) -> Iterator[bytes]:
+    """The first bytes of every array in the file."""
+    position = HEADER
+    while position + 8 <= len(data):
+        kind, size = struct.unpack_from(f"{order}II", data, position)
+        body = data[position + 8 : position + 8 + size]
+        if kind == COMPRESSED:
+            try:
+                yield zlib.decompressobj().decompress(body, HEAD_OF_ELEMENT)
+            except zlib.error:
+                return
+        elif kind == MATRIX:
+            yield data[position : position + HEAD_OF_ELEMENT]
+        else:
+            return
+        position += 8 + size
+
+
+def _object(head: bytes, order: str) -> tuple[str, str] | None:
+    """Name and class, where an array is an object: its flags, then its name, "MCOS" and its class."""
+    if len(head) < 24 or struct.unpack_from(f"{order}I", head, 16)[0] & 0xFF != OPAQUE:
+        return None
+    texts: list[bytes] = []
+    position = 24
+    while len(texts) < 3 and position + 8 <= len(head):
+        word, size = struct.unpack_from(f"{order}II", head, position)
+        if word >> 16:  # a short element: size and type in one word, then up to four bytes
+            texts.append(head[position + 4 : position + 4 + (word >> 16)])
+            position += 8
+        else:
+            texts.append(head[position + 8 : position + 8 + size])
+            position += 8 + -(-size // 8) * 8
+    if len(texts) < 3:
+        return None
+    return texts[0].decode("latin-1"), texts[2].decode("latin-1")

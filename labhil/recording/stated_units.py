@@ -1,0 +1,83 @@
+"""What a table says of its units, held against the units that are assumed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from labhil.errors import TableError
+from labhil.recording.sheet import Mapped, Sheet
+from labhil.recording.units import OURS, ROTARY, Unit, unit_in_name, unit_of
+
+
+def check_units(sheet: Sheet, taken: Sequence[Mapped]) -> tuple[str, ...]:
+    """Compare the units that a file states with those of the signals, where the rig file gives no scale.
+
+    Returns a line for each unit that cannot be that of its signal. TableError where one differs by a known
+    factor: it shows the ``[channels]`` table that has the factors.
+    """
+    wrong: dict[str, tuple[str, Unit]] = {}
+    odd = []
+    for one in taken:
+        stated = _stated(sheet, one.columns[0])
+        if stated is None or one.signal.unit not in OURS or _is_scaled(sheet, one.signal.name):
+            continue
+        where, text, unit = stated
+        if unit.quantity in (one.signal.unit, _rotary(sheet, one.signal.unit)):
+            if (unit.scale, unit.offset) != (1.0, 0.0):
+                wrong[one.signal.name] = f"{one.signal.name} in {text} ({where})", unit
+        else:
+            odd.append(
+                f"{where} states {text} for {one.signal.name}, which is in {one.signal.unit}: numbers count "
+                f"as {one.signal.unit} until [channels] gives a scale"
+            )
+    if wrong:
+        raise TableError(_proposal(sheet, taken, wrong))
+    return tuple(odd)
+
+
+def _stated(sheet: Sheet, column: int) -> tuple[str, str, Unit] | None:
+    """Where a unit of a column stands, how it is written, and what it is."""
+    units = sheet.columns.units
+    if column < len(units) and (unit := unit_of(units[column])) is not None:
+        return "the line of units below the header", units[column].strip().strip("[]()\"' "), unit
+    names = sheet.columns.names
+    found = unit_in_name(names[column]) if names is not None else None
+    return None if found is None else (f"the name of column {sheet.column(column)}", *found)
+
+
+def _is_scaled(sheet: Sheet, name: str) -> bool:
+    channel = sheet.rig.channels.get(name)
+    return channel is not None and not channel.model_fields_set.isdisjoint({"scale", "offset"})
+
+
+def _rotary(sheet: Sheet, unit: str) -> str | None:
+    return ROTARY.get(unit) if sheet.rig.kind.name == "axis" else None
+
+
+def _proposal(sheet: Sheet, taken: Sequence[Mapped], wrong: dict[str, tuple[str, Unit]]) -> str:
+    expected = [f"{one.signal.name} in {one.signal.unit}" for one in taken if one.signal.name in wrong]
+    found = [text for text, _ in wrong.values()]
+    units = {name: unit for name, (_, unit) in wrong.items()}
+    return "\n".join(
+        [
+            f"{sheet.path}: expected {', '.join(expected)}, found {', '.join(found)}; write into "
+            f"{sheet.rig.path} (scale = 1.0 for what is in our unit all the same):",
+            "[channels]",
+            *(channel_line(sheet, one, units.get(one.signal.name)) for one in taken),
+        ]
+    )
+
+
+def channel_line(sheet: Sheet, one: Mapped, unit: Unit | None = None) -> str:
+    """A line of ``[channels]`` for a signal, with the scale and offset of a unit."""
+    sources = [sheet.source(column) for column in one.columns]
+    parts = [f"column = {sources[0]}" if len(sources) == 1 else f"columns = [{', '.join(sources)}]"]
+    scale = one.scale.tolist() if unit is None else [unit.scale] * len(sources)
+    offset = one.offset.tolist() if unit is None else [unit.offset] * len(sources)
+    for name, values, usual in (("scale", scale, 1.0), ("offset", offset, 0.0)):
+        if any(value != usual for value in values):
+            same = bool(np.ptp(values) == 0)
+            parts.append(f"{name} = {values[0]!r}" if same else f"{name} = {values!r}")
+    return f"{one.signal.name} = {{ {', '.join(parts)} }}"

@@ -1,0 +1,111 @@
+"""Units that tables state: in a line below the header, or in the names of their columns."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+
+class Unit(NamedTuple):
+    """A unit: value in ours = value · ``scale`` + ``offset``, where ours is the one of ``quantity``."""
+
+    quantity: str
+    scale: float
+    offset: float = 0.0
+
+
+TURN = 2.0 * math.pi
+DEGREE = math.pi / 180.0
+PREFIXES = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3}
+PREFIXED = {"V": "V", "A": "A", "m": "m", "N": "N", "Nm": "N·m", "s": "s", "rad": "rad", "m/s": "m/s"}
+OURS = {"V", "A", "m", "N", "N·m", "s", "rad", "rad/s", "m/s", "m/s²", "rad/s²", "°C"}
+
+
+def _table() -> Mapping[str, Unit]:
+    units = {name: Unit(ours, 1.0) for name, ours in PREFIXED.items()}
+    for prefix, factor in PREFIXES.items():
+        units |= {f"{prefix}{name}": Unit(ours, factor) for name, ours in PREFIXED.items()}
+    for names, quantity, scale in (
+        ("sec secs second seconds", "s", 1.0),
+        ("msec msecs millis millisecond milliseconds", "s", 1e-3),
+        ("usec usecs micros microsecond microseconds", "s", 1e-6),
+        ("nsec nanosecond nanoseconds", "s", 1e-9),
+        ("min mins minute minutes", "s", 60.0),
+        ("h hr hrs hour hours", "s", 3600.0),
+        ("d day days", "s", 86400.0),
+        ("volt volts", "V", 1.0),
+        ("amp amps ampere amperes", "A", 1.0),
+        ("in inch inches", "m", 0.0254),
+        ("radian radians", "rad", 1.0),
+        ("deg degree degrees", "rad", DEGREE),
+        ("rev revs turn turns", "rad", TURN),
+        ("rad/s rad/sec rads-1", "rad/s", 1.0),
+        ("mrad/s", "rad/s", 1e-3),
+        ("deg/s deg/sec dps", "rad/s", DEGREE),
+        ("rpm r/min rev/min 1/min min-1 u/min", "rad/s", TURN / 60.0),
+        ("rps rev/s 1/s Hz", "rad/s", TURN),
+        ("m/min", "m/s", 1.0 / 60.0),
+        ("mm/min", "m/s", 1e-3 / 60.0),
+        ("rad/s2 rad/s/s", "rad/s²", 1.0),
+        ("deg/s2 deg/s/s", "rad/s²", DEGREE),
+        ("m/s2", "m/s²", 1.0),
+        ("mm/s2", "m/s²", 1e-3),
+        ("Nmm", "N·m", 1e-3),
+        ("Ncm", "N·m", 1e-2),
+        ("C degC celsius", "°C", 1.0),
+    ):
+        units |= dict.fromkeys(names.split(), Unit(quantity, scale))
+    units["K"] = units["kelvin"] = Unit("°C", 1.0, -273.15)
+    units["F"] = units["degF"] = Unit("°C", 5.0 / 9.0, -160.0 / 9.0)
+    return units
+
+
+UNITS = _table()
+
+ROTARY = {"m": "rad", "m/s": "rad/s", "N": "N·m"}
+"""What stands in place of a length, a velocity and a force on an axis that turns."""
+
+_IN_BRACKETS = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]+)[\])]\s*$")
+_BEHIND = re.compile(r"^(?P<name>.+?)(?:_|-|/| in |\s)(?P<unit>[^_\s/-]+(?:/s)?)$")
+
+SURE_BEHIND = {"ms", "us", "µs", "μs", "ns", "mm", "cm", "rpm", "deg", "mA", "mV", "msec", "deg/s", "rad/s"}
+"""Units that count without brackets at the end of a name; ``_s``, ``_a``, ``_min`` may mean other things."""
+
+
+def unit_of(text: str) -> Unit | None:
+    """The unit that a text names, with or without brackets, or None."""
+    plain = text.strip().strip("\"'").strip().strip("[](){}").strip()
+    if plain in UNITS:
+        return UNITS[plain]
+    plain = plain.replace("µ", "u").replace("μ", "u").replace("°", "deg").replace("²", "2").replace("^", "")
+    plain = re.sub(r"[·⋅*\s]", "", plain)
+    plain = plain.replace("degdeg", "deg")
+    return UNITS.get(plain) or (UNITS.get(plain.lower()) if len(plain) > 2 else None)
+
+
+def unit_in_name(name: str) -> tuple[str, Unit] | None:
+    """The unit that a column's name states (``time [ms]``, ``speed (rpm)``, ``pot_mm``), as text and unit."""
+    name = name.strip()
+    if found := _IN_BRACKETS.match(name):
+        unit = unit_of(found["unit"])
+        return (found["unit"].strip(), unit) if unit else None
+    if name in SURE_BEHIND and (unit := unit_of(name)):
+        return name, unit
+    if (found := _BEHIND.match(name)) and found["unit"] in SURE_BEHIND and (unit := unit_of(found["unit"])):
+        return found["unit"], unit
+    return None
+
+
+def is_units_line(texts: Sequence[str]) -> bool:
+    """Whether the fields of a line are units: all that are filled are known ones, or stand in brackets.
+
+    One known unit is the least; a line of numbers never is one.
+    """
+    filled = [text.strip().strip("\"'").strip() for text in texts]
+    filled = [text for text in filled if text and text not in {"-", "1", "%"}]
+    bracketed = [text[:1] in "[(" and text[-1:] in "])" for text in filled]
+    known = [unit_of(text) is not None for text in filled]
+    numbers = [bool(re.fullmatch(r"[\[(]?[\d.,+-]+[\])]?", text)) for text in filled]
+    return any(known) and not any(numbers) and all(a or b for a, b in zip(bracketed, known, strict=True))

@@ -1,0 +1,22 @@
+"""Faults of the data as a person reads them before a fit, and as a result holds them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from labhil.diagnose.fault import Fault, Kind
+
+HARMLESS = (Kind.GAP, Kind.NO_EXCITATION)
+"""What takes nothing from the numbers of a fit but data."""
+
+
+def fault_lines(faults: Sequence[Fault]) -> list[str]:
+    """Each fault in a line, and what they mean for the table that follows."""
+    if not faults:
+        return []
+    lines = [f"! {fault.statement}" for fault in faults]
+    if any(fault.kind not in HARMLESS for fault in faults):
+        lines.append(
+            "! The values below are fitted to these data as they are: do not rely on their intervals."
+        )
+    return lines

@@ -1,0 +1,59 @@
+"""What an import can see of its table at once: faults of the data, and how its inputs run between samples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from labhil.diagnose.hold import evident_hold
+from labhil.diagnose.timing import all_faults, better_hold
+from labhil.identify.windows import with_least_noise
+from labhil.physics.model import Record
+from labhil.physics.rigs import model_for, record_of_samples
+from labhil.recording.tables import ImportedTable
+from labhil.signals import Hold
+
+WORDS = {Hold.ZERO: "held", Hold.LINEAR: "straight"}
+
+
+def checked(
+    table: ImportedTable, progress: Callable[[str], None] = lambda text: None
+) -> tuple[ImportedTable, list[str]]:
+    """Guess the holds that the rig file does not state, and look for faults.
+
+    Returns the table with these holds, and what to print, a line each.
+    """
+    record = record_of_samples(table.stream, table.t, table.values, table.rig.kind)
+    if record is None or len(record) < 2:
+        return table, []
+    table, record, lines = _with_holds(table, record, progress)
+    record = with_least_noise(record)
+    model = model_for(table.rig, record)
+    return table, [*lines, *(f"! {fault.statement}" for fault in all_faults(model, record))]
+
+
+def _with_holds(
+    table: ImportedTable, record: Record, progress: Callable[[str], None]
+) -> tuple[ImportedTable, Record, list[str]]:
+    """The table and its record with the hold of each input, and a line about each."""
+    if len(record.input_names) != 1:
+        # positions and rates of joints are measured; inverse dynamics takes them at their samples
+        return table, record, []
+    name, default = record.input_names[0], record.input_holds[0]
+    channel = table.rig.channels.get(name)
+    if channel is not None and channel.hold is not None:
+        return table, record, [f"{name}: {WORDS[default]} between samples, as [channels] states"]
+    hold, why = evident_hold(record.inputs[:, 0]), "it jumps between levels"
+    if hold is None:
+        progress(f"comparing {name} held and straight between samples")
+        hold, why = better_hold(model_for(table.rig, record), record), "since a model predicts better so"
+    if hold is None:
+        hold, why = default, f"as is usual for {table.rig.kind.name}"
+    key = f'[channels] {name} = {{ …, hold = "{"linear" if hold is Hold.ZERO else "zero"}" }} says otherwise'
+    signals = tuple(replace(s, hold=hold) if s.name == name else s for s in table.stream.signals)
+    changed = replace(table, stream=replace(table.stream, signals=signals))
+    return (
+        changed,
+        replace(record, input_holds=(hold,)),
+        [f"{name}: {WORDS[hold]} between samples, {why}; {key}"],
+    )

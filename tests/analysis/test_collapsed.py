@@ -1,0 +1,83 @@
+"""Sizes of the rig that give way in a baseline, and values whose own errors a change has to beat."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from labhil.diagnose.accepted import Accepted
+from labhil.diagnose.collapsed import NEAR, given_way, kept_near
+from labhil.diagnose.diagnosis import _changes, data_of
+from labhil.identify.fitted import fit_terms
+from labhil.identify.statistics import stated
+from labhil.physics.ball_beam import BallBeamModel
+from labhil.physics.model import Record
+from labhil.physics.terms import Parameter
+from labhil.report.results import finite
+from labhil.rig import parse_rig
+
+GAIN = 5.0 / 7.0 * 9.81
+SIZE = Parameter("level", "N", 1.0)
+
+
+def tilted(seconds: float, seed: int) -> Record:
+    """A ball on a tube whose angle reads 0.06 rad too much, pushed about now and then, at rest in between."""
+    random, period = np.random.default_rng(seed), 0.01
+    n = round(seconds / period)
+    t, angle, x, v = period * np.arange(n), np.empty(n), np.empty(n), np.empty(n)
+    x[0], v[0], goal = 0.0, 0.0, 0.0
+    for k in range(n):
+        if k % 300 == 0:
+            goal = random.uniform(-0.15, 0.15)
+        wanted = float(np.clip(-0.9 * (x[k] - goal) - 0.55 * v[k], -0.25, 0.25))
+        angle[k] = 0.06 + wanted
+        if k + 1 < n:
+            a = GAIN * np.sin(angle[k] - 0.06) - 0.4 * v[k]
+            x[k + 1], v[k + 1] = x[k] + period * v[k], v[k] + period * a
+    y = x + 1e-3 * random.standard_normal(n)
+    return Record(t, angle[:, None], y[:, None], ("beam_angle",), ("ball_position",), ("m",))
+
+
+def test_a_gain_that_fell_to_its_bound_has_given_way_and_is_kept_near_its_nominal_value():
+    record = tilted(6.0, 1)
+    model = BallBeamModel(parse_rig('[rig]\nkind = "ball_beam"\n', Path("rig.toml")), record)
+    data = data_of(model, record, record)
+    place = [p.key for p in model.parameters].index("acceleration_per_radian")
+
+    def at(gain: float):
+        theta = data.begin.copy()
+        theta[place] = gain
+        return fit_terms(
+            model, record, ("viscous_friction",), 1.0, data.sigma, start=theta, iterations=0, thorough=False
+        )
+
+    (lost,) = given_way(data, at(1e-3))
+    assert (lost.key, lost.nominal) == ("acceleration_per_radian", pytest.approx(GAIN))
+    assert "against a nominal 7.007 m/s²" in lost.statement
+    assert given_way(data, at(0.5 * GAIN)) == ()
+    near = kept_near(model, [lost]).parameters[place]
+    assert near.lower == pytest.approx(GAIN / NEAR) and near.upper == pytest.approx(GAIN * NEAR)
+    assert model.parameters[place].lower == 1e-3
+
+
+def test_a_value_that_was_held_has_no_interval():
+    (row,) = stated([SIZE], np.array([2.0]), np.array([0.0]))
+    assert not row.identifiable and not row.significant
+    assert finite(row.ci99) == [None, None] and finite(row.std_error) is None
+
+
+def test_a_change_has_to_beat_the_errors_of_both_values():
+    (row,) = stated([SIZE], np.array([-10.5]), np.array([0.3]))
+    row = replace(row, identifiable=True)
+
+    def accepted(error: float) -> Accepted:
+        return Accepted("fit.json", None, (), {"level": -3.25}, ("level",), np.array([[error**2]]))
+
+    assert _changes([row], {"level": -3.25}, accepted(5.7)) == ()
+    assert _changes([row], {"level": -3.25}, accepted(float("inf"))) == ()
+    assert len(_changes([row], {"level": -3.25}, accepted(0.3))) == 1
+    assert len(_changes([row], {"level": -3.25}, None)) == 1
+    assert _changes([replace(row, identifiable=False)], {"level": -3.25}, accepted(0.3)) == ()

@@ -1,0 +1,210 @@
+"""Rest, late inputs, wraps, censored readings and commands: what is a fault of the data, and what is none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labhil.campaign.benchmark.cases import driven, levels
+from labhil.diagnose.hold import evident_hold
+from labhil.diagnose.intake import Kind, faults_of, usable, with_censored
+from labhil.diagnose.lead import lead_of
+from labhil.diagnose.timing import better_hold, late_input
+from labhil.diagnose.wraps import wraps_of
+from labhil.identify.problem import Problem
+from labhil.identify.quantiser import held_samples, uneven_step
+from labhil.identify.windows import fit_windows, noise_of, with_least_noise
+from labhil.physics.model import Record
+from labhil.physics.rigs import model_for
+from labhil.rig import default_rig
+from labhil.signals import Hold
+
+DRY = ("viscous_friction", "coulomb_friction")
+CHANNELS = (("speed", "rad/s"), ("current", "A"))
+
+
+def motor(u, seed=0, decibels=35.0, period=0.01, **values) -> Record:
+    random = np.random.default_rng(seed)
+    return driven("dc_motor", u, period, values, DRY, decibels, False, random, CHANNELS)[0]
+
+
+def stepped(seed=0, n=1500, dwell=30) -> np.ndarray:
+    return levels(n, dwell, 5.0, np.random.default_rng(seed))
+
+
+def late(record: Record, samples: int) -> Record:
+    inputs = np.concatenate(
+        [record.inputs[:1].repeat(samples, axis=0), record.inputs[: len(record) - samples]]
+    )
+    return replace(record, inputs=inputs)
+
+
+def counted(even: bool, seed=0) -> Record:
+    """A motor that turns one way now and then, its speed as counts of an encoder over the time they took."""
+    random = np.random.default_rng(seed)
+    t = 0.012 * np.arange(1000)
+    turning = np.clip(np.minimum(t - 3.0, 8.0 - t), 0.0, 1.0) * 20.0
+    angle = np.cumsum(turning) * 0.012
+    step = 2 * np.pi / 320
+    periods = 0.012 * (1.0 if even else 1.0 + 0.006 * random.standard_normal(1000))
+    speed = np.diff(np.floor(angle / step), prepend=0.0) * step / periods
+    u = np.where(turning > 0.0, 9.0, 3.0)
+    return Record(t, u[:, None], speed[:, None], ("voltage",), ("speed",), ("rad/s",), (Hold.ZERO,))
+
+
+@pytest.mark.parametrize("even", [True, False])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_motor_that_stands_still_is_no_fault(even, sign):
+    record = counted(even)
+    record = replace(record, inputs=sign * record.inputs, outputs=sign * record.outputs)
+    assert faults_of(record) == ()
+    assert with_censored(record).censored is None
+
+
+def test_a_sensor_that_knows_one_direction_only_is_clipped_at_zero():
+    record = motor(stepped())
+    outputs = record.outputs.copy()
+    outputs[:, 0] = np.maximum(outputs[:, 0], 0.0)
+    found = faults_of(replace(record, outputs=outputs))
+    assert [(fault.kind, fault.channel) for fault in found] == [(Kind.SATURATED, "speed")]
+
+
+@pytest.mark.parametrize("even", [True, False])
+def test_the_noise_of_a_counter_is_that_of_its_moving_part(even):
+    record = counted(even)
+    step = 2 * np.pi / 320 / 0.012
+    if not even:
+        assert uneven_step(record.outputs[:, 0]) == pytest.approx(step, rel=0.01)
+    # a rate of counts is off by two roundings: step²/6
+    assert step / np.sqrt(12.0) <= noise_of(record)[0] < 0.6 * step
+    still = with_least_noise(record).part(700, 1000)
+    assert np.ptp(still.outputs) == 0.0
+    assert noise_of(still)[0] == noise_of(with_least_noise(record))[0]
+
+
+def test_noise_of_a_channel_that_never_rests_is_not_touched():
+    record = motor(stepped())
+    assert not held_samples(record.outputs[:, 0]).any()
+    assert with_least_noise(record) is record
+
+
+@pytest.mark.parametrize("samples", [1, 2, 3])
+def test_an_output_that_answers_before_its_input_is_a_fault(samples):
+    record = late(motor(stepped()), samples)
+    fault = next(f for f in faults_of(record) if f.kind is Kind.LEAD)
+    assert f"shift = {-0.01 * samples:.6g}" in fault.statement
+    assert not usable(record, (fault,)).fit
+
+
+@pytest.mark.parametrize("inductance", [1e-4, 1e-2, 0.1])
+@pytest.mark.parametrize("dwell", [15, 30])
+def test_causal_motors_do_not_lead(inductance, dwell):
+    for seed in range(3):
+        record = motor(stepped(seed, dwell=dwell), seed, 50.0, inductance=inductance)
+        assert lead_of(record) is None
+
+
+def test_an_output_that_answers_at_the_very_sample_and_in_full_does_not_lead():
+    u = stepped(1)
+    random = np.random.default_rng(2)
+    current = u / 1.5 + 0.01 * random.standard_normal(len(u))
+    names = (("voltage",), ("current",), ("A",), (Hold.ZERO,))
+    assert lead_of(Record(0.01 * np.arange(len(u)), u[:, None], current[:, None], *names)) is None
+
+
+def test_a_relay_that_jumps_because_of_the_output_shows_no_lead():
+    random = np.random.default_rng(5)
+    x, y, u, level = 0.0, np.zeros(3000), np.zeros(3000), 1.0
+    for k in range(3000):
+        y[k] = x + 0.01 * random.standard_normal()
+        level = -1.0 if y[k] > 0.5 else 1.0 if y[k] < -0.5 else level
+        u[k] = level
+        x += 0.01 * (5.0 * level - x)
+    names = (("voltage",), ("speed",), ("rad/s",), (Hold.ZERO,))
+    assert lead_of(Record(0.01 * np.arange(3000), u[:, None], y[:, None], *names)) is None
+
+
+def smooth(n=1200) -> np.ndarray:
+    t = 0.01 * np.arange(n)
+    return 3.0 * (np.sin(4.4 * t) + 0.7 * np.sin(12.0 * t + 1.0) + 0.4 * np.sin(27.0 * t))
+
+
+@pytest.mark.parametrize("samples", [0, 1, 2])
+def test_a_smooth_input_that_is_late_is_found_by_the_rig_s_model(samples):
+    record = late(motor(smooth()), samples)
+    fault = late_input(model_for(default_rig("dc_motor"), record), record)
+    if samples == 0:
+        assert fault is None
+    else:
+        assert fault is not None
+        assert f"shift = {-0.01 * samples:.6g}" in fault.statement
+
+
+def test_how_an_input_runs_between_samples_is_seen_in_the_data():
+    held = motor(smooth())
+    fine = motor(np.interp(0.1 * np.arange(12000), np.arange(1200), smooth()), period=0.001)
+    straight = replace(fine, t=fine.t[::10], inputs=fine.inputs[::10], outputs=fine.outputs[::10])
+    for record, hold in ((held, Hold.ZERO), (straight, Hold.LINEAR)):
+        assert better_hold(model_for(default_rig("dc_motor"), record), record) is hold
+    assert evident_hold(stepped()) is Hold.ZERO
+    assert evident_hold(smooth()) is None
+    assert evident_hold(np.clip(smooth(), -1.0, 1.0)) is None
+
+
+@pytest.mark.parametrize("turns", [0.8, 5.0])
+@pytest.mark.parametrize("period", [2 * np.pi, 4096 * 1e-3])
+def test_an_encoder_that_wraps_is_named_with_its_period(turns, period):
+    t = 0.01 * np.arange(3000)
+    step = period / 4096
+    position = step * np.rint((0.6 * period + turns * period * np.sin(0.3 * t)) / step)
+    found = wraps_of(np.mod(position, period))
+    assert found is not None
+    assert found.period == pytest.approx(period, rel=1e-3)
+    unwrapped = np.unwrap(np.mod(position, period), period=found.period)
+    assert np.ptp(unwrapped) == pytest.approx(np.ptp(position), rel=1e-3)
+    assert wraps_of(position) is None
+
+
+def test_a_sensor_that_slips_does_not_wrap():
+    t = 0.01 * np.arange(2000)
+    x = np.sin(t)
+    x[1000:] += 2.3
+    assert wraps_of(x) is None
+
+
+def test_readings_at_the_end_of_a_range_count_one_sidedly():
+    record = motor(stepped())
+    limit = np.quantile(record.outputs[:, 0], 0.8)
+    outputs = record.outputs.copy()
+    outputs[:, 0] = np.minimum(outputs[:, 0], limit)
+    marked = with_censored(with_least_noise(replace(record, outputs=outputs)))
+    at = outputs[:, 0] == limit
+    assert np.array_equal(marked.censored[:, 0], at.astype(int))
+    found = faults_of(marked)
+    assert [fault.kind for fault in found] == [Kind.SATURATED]
+    assert f"{at.sum()} samples" in found[0].statement
+    assert usable(marked, found).fit
+
+    class Beyond(type(model_for(default_rig("dc_motor"), marked))):
+        def simulate(self, theta, record, windows, states):
+            return record.outputs[windows.rows] + 1.0
+
+    model = Beyond(default_rig("dc_motor"), marked)
+    problem = Problem(model, marked, fit_windows(marked, 1.0), np.empty(0, int), np.zeros(1), np.ones(2))
+    left = problem.residuals_at(np.zeros(1), problem.guess).reshape(-1, 2)
+    assert np.allclose(left[:, 0], np.where(at[problem.windows.rows], 0.0, 1.0))
+    assert np.allclose(left[:, 1], 1.0)
+    assert np.array_equal(marked.part(10, 60).censored, marked.censored[10:60])
+
+
+def test_a_lone_sample_of_a_command_that_nobody_asked_for_is_a_fault():
+    record = motor(smooth())
+    inputs = record.inputs.copy()
+    inputs[[300, 800]] += 40.0
+    fault = next(f for f in faults_of(replace(record, inputs=inputs)) if f.channel == "voltage")
+    assert fault.kind is Kind.OUTLIER
+    pulses = np.zeros(1200)
+    pulses[100::200] = 5.0
+    assert not any(f.channel == "voltage" for f in faults_of(motor(pulses)))

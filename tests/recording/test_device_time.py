@@ -1,0 +1,119 @@
+"""Recordings whose host was set or stood still: every stream and event in the device's own time."""
+
+import numpy as np
+import pytest
+
+from labhil.diagnose.intake import Kind, faults_of, usable
+from labhil.kinds import kind_named
+from labhil.physics.rigs import record_of
+from labhil.recording import RecordingWriter, read_recording
+from labhil.recording.stamps import HOST_CLOCK
+from labhil.signals import Batch, Direction, Signal, Stream
+
+START = 1_790_000_000_000_000_000
+STATE = Stream(
+    "state",
+    (Signal("servo_angle", "rad", Direction.INPUT), Signal("ball_position", "m", Direction.OUTPUT)),
+    100.0,
+)
+COMMAND = Stream("command", (Signal("servo_angle_applied", "rad", Direction.REQUESTED),), 100.0)
+SAMPLES = 1000
+
+
+def values(seq):
+    t = seq / 100.0
+    noise = 1e-4 * np.random.default_rng(1).standard_normal(len(seq))
+    return np.column_stack([0.3 * np.sin(2.0 * t), 0.1 * np.cos(1.3 * t) + noise])
+
+
+def write_state(writer, device, host, phase=0.0, own_clock=True, **metadata):
+    """Write samples that came in at ``host`` (s) and that the device stamped by its own clock, or by none."""
+    seq = np.arange(len(host))
+    t_hw_ns = (seq * 10_000_000 + round(phase * 1e9)) * own_clock
+    channel = writer.add_stream(device, STATE, metadata)
+    t_acq_ns = START + np.rint(host * 1e9).astype(np.int64)
+    writer.write(channel, Batch(seq, t_acq_ns, t_hw_ns, values(seq)))
+
+
+def write_commands(writer, device, host, phase=0.0):
+    """Write commands as a host stamps them: its clock, and the newest sample's plus what passed since."""
+    seq = np.arange(len(host))
+    t_hw_ns = seq * 10_000_000 + round((phase + 0.002) * 1e9)
+    t_hw_ns[400] -= 480_000_000  # between two stamps the clock was set
+    channel = writer.add_stream(device, COMMAND)
+    t_acq_ns = START + np.rint((host + 0.002) * 1e9).astype(np.int64)
+    writer.write(channel, Batch(seq, t_acq_ns, t_hw_ns, np.zeros((len(seq), 1))))
+
+
+def host_times(step=0.0, at=400, begin=0.0):
+    host = begin + np.arange(SAMPLES) / 100.0 + np.random.default_rng(2).exponential(3e-4, SAMPLES)
+    host[at:] += step
+    return host
+
+
+@pytest.mark.parametrize("step", [-0.5, 0.5, -3600.0, 3600.0])
+def test_a_clock_that_was_set_moves_no_sample_and_is_named(tmp_path, step):
+    with RecordingWriter(tmp_path / "a.mcap") as writer:
+        write_state(writer, "bench", host_times(step), phase=7.0)
+        write_commands(writer, "bench", host_times(step), phase=7.0)
+        writer.event("run", START + round((8.0 + step) * 1e9), {"text": "late"})
+        writer.event("bench", START + round(2.0 * 1e9), {"text": "early"})
+    recording = read_recording(tmp_path / "a.mcap")
+    state, command = recording.streams
+    assert state.t == pytest.approx(np.arange(SAMPLES) / 100.0, abs=1e-9)
+    assert state.rate == pytest.approx(100.0)
+    assert (np.diff(command.t) > 0).all()
+    assert command.t == pytest.approx(state.t + 0.002, abs=0.011)
+    times = {event.body["text"]: event.t for event in recording.events}
+    assert times == pytest.approx({"early": 2.0, "late": 8.0}, abs=0.002)
+    (line,) = recording.losses()
+    assert "bench/state: the host's stamps jump by" in line and "at 4 s" in line
+    assert recording.clocks["bench"].stepped == pytest.approx(abs(step), abs=0.01)
+    (fault,) = faults_of(record_of(recording, kind_named("ball_beam")))
+    assert fault.kind is Kind.CLOCK_STEP and fault.statement.startswith("The host's stamps")
+    assert usable(record_of(recording, kind_named("ball_beam")), [fault]).fit
+
+
+def test_without_a_clock_of_the_device_a_step_makes_data_unfit(tmp_path):
+    with RecordingWriter(tmp_path / "a.mcap") as writer:
+        write_state(writer, "bench", host_times(-0.5), own_clock=False)
+    recording = read_recording(tmp_path / "a.mcap")
+    assert "no clock of its own" in recording.losses()[0]
+    record = record_of(recording, kind_named("ball_beam"))
+    faults = faults_of(record)
+    assert Kind.CLOCK_STEP in [fault.kind for fault in faults]
+    assert not usable(record, faults).fit
+
+
+def test_what_is_cut_out_beside_a_step_has_none(tmp_path):
+    with RecordingWriter(tmp_path / "a.mcap") as writer:
+        write_state(writer, "bench", host_times(-0.5), own_clock=False)
+    record = record_of(read_recording(tmp_path / "a.mcap"), kind_named("ball_beam"))
+    assert Kind.CLOCK_STEP not in [fault.kind for fault in faults_of(record.part(400, SAMPLES))]
+
+
+def test_several_devices_share_the_hosts_time(tmp_path):
+    """One clock 400 ppm fast, one that starts later: each has its own steps, and both one common time."""
+    late = host_times(begin=3.0)
+    with RecordingWriter(tmp_path / "a.mcap") as writer:
+        write_state(writer, "fast", host_times() / (1 + 400e-6), phase=50.0)
+        write_state(writer, "late", late, phase=9.0)
+    recording = read_recording(tmp_path / "a.mcap")
+    fast, other = recording.streams
+    assert recording.losses() == []
+    for data in (fast, other):
+        assert np.diff(data.t) == pytest.approx(0.01, abs=1e-9)
+    assert (fast.t[0], other.t[0]) == pytest.approx((0.0, 3.0), abs=1e-3)
+    true = np.arange(SAMPLES) / 100.0
+    assert fast.t_common == pytest.approx(true / (1 + 400e-6), abs=5e-4)
+    assert other.t_common == pytest.approx(3.0 + true, abs=5e-4)
+    found = recording.clock_offsets["fast", "late"]
+    elapsed = (found.t_host_ns - START) * 1e-9
+    assert found.offset == pytest.approx(50.0 + elapsed * (1 + 400e-6) - (9.0 + elapsed - 3.0), abs=1e-3)
+
+
+def test_a_recording_by_the_steady_clock_blames_no_host(tmp_path):
+    with RecordingWriter(tmp_path / "a.mcap") as writer:
+        write_state(writer, "bench", host_times(0.4), **{HOST_CLOCK: "0"})
+    (line,) = read_recording(tmp_path / "a.mcap").losses()
+    assert "stood still" in line and "clock was set" not in line
