@@ -23,6 +23,7 @@ from labhil.commands.trials import add_trials
 from labhil.commands.tui import add_tui
 from labhil.console import forgiving_streams
 from labhil.errors import LabhilError
+from labhil.terminal import complain, show
 
 app = typer.Typer(
     help="Record a rig and its simulation, find where they disagree, and say what physics was left out.",
@@ -40,7 +41,7 @@ def main() -> None:
         try:
             app()
         except LabhilError as error:
-            print(error, file=sys.stderr)
+            complain(error)
             sys.exit(error.exit_status)
 
 
@@ -48,7 +49,7 @@ def _print_version(wanted: bool) -> None:
     if wanted:
         from labhil import __version__
 
-        print(f"labhil {__version__}")
+        show(f"labhil {__version__}")
         raise typer.Exit
 
 

@@ -17,11 +17,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from labhil.bounds import content_bound
+from labhil.documents import parse_json
 from labhil.errors import ProtocolError
 from labhil.signals import Batch, FloatArray, IntArray, Signal, Stream
 
 LAYOUT_VERSION = "1"
 """Stands in every channel's metadata; a change of the layout changes it."""
+
+LARGEST_WIDTH = 1 << 16
+"""Scalar columns that a stream from outside may declare: a tactile skin or a spectrum has thousands."""
 
 STAMPS = ("seq", "t_acq_ns", "t_hw_ns")
 STAMP_OFFSETS = (1, 10, 19)
@@ -150,6 +155,7 @@ class Codec:
     def _decode_foreign(self, payloads: Sequence[bytes]) -> Batch:
         from google.protobuf.message import DecodeError
 
+        self._refuse_claim(payloads)
         stamps = np.empty((len(payloads), len(STAMPS)), dtype=np.uint64)
         values = np.full((len(payloads), self.stream.width), np.nan)
         for row, payload in enumerate(payloads):
@@ -165,6 +171,15 @@ class Codec:
                 self._take(message, signal, values[row])
         seq, t_acq_ns, t_hw_ns = (np.array(column) for column in stamps.view(np.int64).T)
         return Batch(seq, t_acq_ns, t_hw_ns, values)
+
+    def _refuse_claim(self, payloads: Sequence[bytes]) -> None:
+        """Fields may be left out, but not so many that a few bytes would make a table of gigabytes."""
+        claimed, there = 8 * len(payloads) * self.stream.width, sum(len(payload) for payload in payloads)
+        if claimed > content_bound(there):
+            raise ProtocolError(
+                f"stream {self.stream.name!r}: expected messages of {self.size} bytes, found {len(payloads)} "
+                f"with {there} bytes in all"
+            )
 
     def _take(self, message: Any, signal: Signal, row: FloatArray) -> None:
         columns = self.stream.columns_of(signal.name)
@@ -214,11 +229,21 @@ def stream_to_json(stream: Stream) -> str:
 def stream_from_json(text: str) -> Stream:
     """Read what :func:`stream_to_json` wrote; ProtocolError when it is something else."""
     try:
-        data: Mapping[str, Any] = json.loads(text)
+        data: Mapping[str, Any] = parse_json(text)
         signals = tuple(Signal.from_json(signal) for signal in data["signals"])
-        return Stream(str(data["name"]), signals, float(data["rate"]))
-    except (ValueError, KeyError, TypeError) as error:
+        stream = Stream(str(data["name"]), signals, float(data["rate"]))
+        _check_sizes(stream)
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
         raise ProtocolError(f"not the declaration of a stream: {error!r} in {text[:80]!r}") from error
+    return stream
+
+
+def _check_sizes(stream: Stream) -> None:
+    """ValueError for a declaration that no device makes."""
+    if not 0 < stream.rate < float("inf"):
+        raise ValueError(f"expected a positive rate, found {stream.rate}")
+    if stream.width > LARGEST_WIDTH:
+        raise ValueError(f"expected at most {LARGEST_WIDTH} columns, found {stream.width}")
 
 
 def _fields(stream: Stream) -> Iterator[_Field]:

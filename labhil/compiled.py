@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -72,9 +73,28 @@ def _keep_fresh() -> None:
 _keep_fresh()
 
 
+def _cached(function: Callable[..., object], **more: bool) -> Any:
+    njit: Any = numba.njit
+    found = njit(cache=True, **more, **HOW)(function)
+    kept = getattr(found, "_cache", None)  # NUMBA_DISABLE_JIT leaves functions as they are
+    if kept is not None:
+        kept.save_overload = _where_there_is_room(kept.save_overload)
+    return found
+
+
+def _where_there_is_room(save: Callable[[Any, Any], None]) -> Callable[[Any, Any], None]:
+    """Keep a kernel on a disk that is not full; elsewhere it is compiled again by the next process."""
+
+    def save_overload(signature: Any, kernel: Any) -> None:
+        with suppress(OSError):
+            save(signature, kernel)
+
+    return save_overload
+
+
 def compiled(function: Function) -> Function:
     """Compile ``function`` to machine code at its first call and cache that on disk beside the source."""
-    return cast(Function, numba.njit(cache=True, **HOW)(function))
+    return cast(Function, _cached(function))
 
 
 def inlined(function: Function) -> Function:
@@ -82,7 +102,7 @@ def inlined(function: Function) -> Function:
 
     Such kernels run up to twice as fast and take longer to compile.
     """
-    return cast(Function, numba.njit(cache=True, forceinline=True, **HOW)(function))
+    return cast(Function, _cached(function, forceinline=True))
 
 
 def specialised(function: Function) -> Function:

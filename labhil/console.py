@@ -14,6 +14,7 @@ from typing import Any, TextIO
 
 from labhil.ending import Deadline, EndedEarly
 from labhil.errors import RunStoppedError, UsageError
+from labhil.terminal import complain, printable, printable_json, show, terminal
 from labhil.whole import whole
 
 STDOUT = Path("-")
@@ -72,7 +73,7 @@ def forgiving_streams() -> Iterator[None]:
         failure = next((outlet.failure for outlet in outlets if outlet.fileno() == 1), None)
         if failure is not None:
             with suppress(OSError):
-                print(f"stdout could not be written: {failure.strerror}", file=sys.stderr, flush=True)
+                complain(f"stdout could not be written: {failure.strerror}")
             sys.exit(1)
 
 
@@ -93,7 +94,7 @@ def _forgiving(stream: TextIO, outlets: list[_Outlet]) -> TextIO:
     )
 
 
-def deliver(data: dict[str, Any], path: Path | None, show: Callable[[], object]) -> None:
+def deliver(data: dict[str, Any], path: Path | None, display: Callable[[], object]) -> None:
     """Save a result, then show it: what fails while it is shown cannot lose it.
 
     With the path ``-`` it goes to stdout as JSON, and nothing else does.
@@ -101,7 +102,7 @@ def deliver(data: dict[str, Any], path: Path | None, show: Callable[[], object])
     if path is not None:
         write_json(data, path)
     if path != STDOUT:
-        show()
+        display()
 
 
 def write_json(data: dict[str, Any], path: Path | None = None) -> None:
@@ -109,7 +110,7 @@ def write_json(data: dict[str, Any], path: Path | None = None) -> None:
     if path is None or path == STDOUT:
         # a terminal that knows fewer characters gets them as JSON writes them in ASCII
         ascii_only = "utf" not in (getattr(sys.stdout, "encoding", None) or "utf-8").lower()
-        print(json.dumps(data, ensure_ascii=ascii_only, allow_nan=False, indent=1))
+        show(printable_json(json.dumps(data, ensure_ascii=ascii_only, allow_nan=False, indent=1)))
         return
     text = json.dumps(data, ensure_ascii=False, allow_nan=False, indent=1)
     with whole(path, "the result") as draft:
@@ -129,8 +130,7 @@ def refuse_unwritable(*paths: Path | None) -> None:
 
 def tell(lines: Iterable[str]) -> None:
     """Print what a person should know beside the result."""
-    for line in lines:
-        print(line, file=sys.stderr)
+    complain(*lines)
 
 
 def split_names(text: str | None) -> tuple[str, ...] | None:
@@ -143,22 +143,21 @@ def split_names(text: str | None) -> tuple[str, ...] | None:
 @contextmanager
 def status() -> Iterator[Callable[[str], None]]:
     """Show what is being done on stderr: a line that changes on a terminal, lines elsewhere."""
-    from rich.console import Console
-
-    console = Console(stderr=True)
+    console = terminal(stderr=True)
     if not console.is_terminal:
-        yield lambda text: console.print(text, markup=False, highlight=False, soft_wrap=True)
+        yield lambda text: console.print(text, highlight=False, soft_wrap=True)
         return
-    with console.status("starting") as line:
-        yield line.update
+    from rich.text import Text
+
+    # a bare string would be read as markup there
+    with console.status(Text("starting")) as line:
+        yield lambda text: line.update(Text(printable(text)))
 
 
 def results_console() -> Any:
     """A console for results on stdout: as wide as the terminal, wide enough for a table elsewhere."""
-    from rich.console import Console
-
-    console = Console()
-    return console if console.is_terminal else Console(width=140)
+    console = terminal()
+    return console if console.is_terminal else terminal(width=140)
 
 
 @contextmanager
@@ -178,5 +177,5 @@ def ending_early(seconds: float | None = None) -> Iterator[Deadline]:
 def early_line(complete: bool, deadline: Deadline, json_path: Path | None) -> Iterator[None]:
     """Say first of all of a result that it was ended early."""
     if not complete and json_path != STDOUT:
-        print(f"ENDED EARLY ({deadline.reason}): the best so far; more time may change it.", flush=True)
+        show(f"ENDED EARLY ({deadline.reason}): the best so far; more time may change it.")
     yield

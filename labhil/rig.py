@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator, Mapping
 from math import inf, isfinite
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from labhil.documents import DocumentError, parse_toml
 from labhil.errors import RigFileError, suggestion
 from labhil.kinds import Known, RigKind, kind_named, kind_names
 from labhil.signals import Hold
@@ -276,8 +276,8 @@ def parse_rig(text: str, path: Path, files: Mapping[str, bytes] | None = None) -
         RigFileError: The file, the field, what was expected and what was found.
     """
     try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        data = parse_toml(text)
+    except DocumentError as error:
         raise RigFileError(f"{path}: not TOML: {error}") from error
     if "rig" not in data:
         near = suggestion("rig", data)
@@ -316,7 +316,7 @@ def _complaint(item: Any, model: type[BaseModel]) -> str:
     message = str(item["msg"]).removeprefix("Value error, ")
     if item["type"] == "value_error":
         return f"{field}: {message}" if places else message
-    return f"{field}: {message}, found {item['input']!r}"
+    return f"{field}: {message}, found {item['input']!r:.200}"
 
 
 def _fields_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:

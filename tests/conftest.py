@@ -14,7 +14,8 @@ from xdist.scheduler import LoadScopeScheduling
 
 PATIENCE = 5.0
 # kept by the standard library for the life of the process, once a process pool was used
-KEPT_PROCESSES = ("resource_tracker", "forkserver")
+# and by us, for the next file that is read in a process of its own
+KEPT_PROCESSES = ("resource_tracker", "forkserver", "labhil.recording.formats.reader_process")
 
 KEEPING_TIME = ("bus", "firmware", "matrix", "run", "tui", "wire")
 """Folders whose tests run devices and hosts in real time: never two of them at once."""

@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from labhil.bus.register import runtime_directory, write_whole
+from labhil.documents import parse_json
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +51,7 @@ def read_latch() -> Latch | None:
     except FileNotFoundError:
         return None
     with contextlib.suppress(ValueError, TypeError, KeyError):
-        data = json.loads(text)
+        data = parse_json(text)
         return Latch(str(data["by"]), str(data["reason"]), float(data["since"]))
     return Latch("somebody", "the file that says more cannot be read", time.time())
 

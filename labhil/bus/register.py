@@ -21,6 +21,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from labhil.bus.authentication import KEY_BYTES
+from labhil.documents import parse_json
 from labhil.errors import BusError, UsageError
 
 LOOPBACK = re.compile(r"tcp/(127\.0\.0\.1|localhost|\[::1\]):\d{1,5}\Z")
@@ -102,7 +103,7 @@ def key_of(endpoint: str) -> bytes | None:
     """Return the key of the session that is reached at ``endpoint``; None where this user has none."""
     for path in runtime_directory().glob("*-*.key"):
         with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
-            data = json.loads(path.read_text(encoding="utf-8"))
+            data = parse_json(path.read_text(encoding="utf-8"))
             if birth_of(int(data["pid"])) != data["birth"]:
                 path.unlink(missing_ok=True)
             elif data["endpoint"] == endpoint and len(key := bytes.fromhex(data["key"])) == KEY_BYTES:
@@ -170,7 +171,7 @@ def check_loopback(endpoint: str) -> str:
 
 def _read(path: Path) -> Registered | None:
     with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = parse_json(path.read_text(encoding="utf-8"))
         entry = Registered(**{**data, "devices": tuple(data["devices"])})
         return entry if LOOPBACK.match(entry.endpoint) else None
     return None

@@ -29,6 +29,7 @@ from labhil.report.plots import diagnosis_plot
 from labhil.report.results import write_json
 from labhil.report.study import diagnose_study
 from labhil.report.text import show_diagnosis
+from labhil.terminal import terminal
 
 SPEED = 5.0
 """How much faster than real time the twin runs: a minute of its world in twelve seconds."""
@@ -71,8 +72,8 @@ def draw_secret(seed: int | None) -> Secret:
 
 def run_demo(out: Path, seed: int | None, say: Say) -> None:
     """Record, diagnose, open the envelope; recordings, plot and JSON stay in ``out``."""
-    console = Console()
-    console = console if console.is_terminal else Console(width=140)
+    console = terminal()
+    console = console if console.is_terminal else terminal(width=140)
     secret = draw_secret(seed)
     # Compiling in this process would keep the controller waiting; a child fills the cache meanwhile.
     with subprocess.Popen([sys.executable, "-P", "-c", COMPILE]) as compiling:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,6 +10,7 @@ import typer
 from labhil.commands.json_flag import JsonFlagCommand
 from labhil.console import split_names, tell, write_json
 from labhil.errors import UsageError
+from labhil.terminal import complain, show
 
 if TYPE_CHECKING:
     from labhil.driver import DriverSpec
@@ -69,9 +69,9 @@ def twin(
     device = load_twin(kind)
     if parameters:
         for name, about in device.terms().items():
-            print(f"--terms {name}: {about}")
+            show(f"--terms {name}: {about}")
         for name, value in device.parameters().items():
-            print(f"--set {name}={value:g}")
+            show(f"--set {name}={value:g}")
         return
     chosen = parse_settings(settings or [])
     options = TwinOptions(
@@ -85,7 +85,11 @@ def twin(
         host=host,
         series=series,
     )
-    device.serve(options, lambda address: print(address, flush=True))
+    device.serve(options, _show_address)
+
+
+def _show_address(address: str) -> None:
+    show(address)
 
 
 def parse_settings(settings: list[str]) -> dict[str, float]:
@@ -124,20 +128,18 @@ def devices(
     if not names:
         twins = plugins.names(plugins.TWINS)
         for name in plugins.names(plugins.DRIVERS):
-            print(f"{name}  (with a simulated device)" if name in twins else name)
+            show(f"{name}  (with a simulated device)" if name in twins else name)
         return
     for name in names:
         spec = plugins.load_driver(name).spec
-        print(f"{name}: {spec.description}")
-        print(f"  rig {spec.rig}; address: twin, {spec.address_help}")
-        print(
-            f"  samples at {spec.stream.rate:g} Hz; safe after {spec.command_timeout:g} s without a command"
-        )
+        show(f"{name}: {spec.description}")
+        show(f"  rig {spec.rig}; address: twin, {spec.address_help}")
+        show(f"  samples at {spec.stream.rate:g} Hz; safe after {spec.command_timeout:g} s without a command")
         for signal in spec.stream.signals:
             command = _commanded(signal, spec)
-            print(f"  {signal.name} [{signal.unit}] {signal.description}{command}")
+            show(f"  {signal.name} [{signal.unit}] {signal.description}{command}")
         if plugins.firmware_folder(name) is not None:
-            print(f"  firmware for an Arduino Mega: labhil firmware {name} -o DIR")
+            show(f"  firmware for an Arduino Mega: labhil firmware {name} -o DIR")
 
 
 def _commanded(signal: Signal, spec: DriverSpec) -> str:
@@ -164,7 +166,7 @@ def run(
 
     plan = make_plan(load_experiment(experiment))
     if dry_run:
-        print(plan.describe())
+        show(plan.describe())
         return
     from labhil.experiment.run import run_experiment
     from labhil.experiment.show import ProgressBar
@@ -173,10 +175,10 @@ def run(
     with ProgressBar() as bar:
         result = run_experiment(plan.experiment, out, bar)
     if result.error is not None:
-        print(result.error, file=sys.stderr)
+        complain(result.error)
     tell(result.warnings)
     if as_json:
         write_json(result.to_json())
     elif result.path is not None:
-        print(result.path)
+        show(result.path)
     raise typer.Exit(result.exit_status)

@@ -21,6 +21,7 @@ from labhil.console import (
     write_json,
 )
 from labhil.errors import UsageError
+from labhil.terminal import show
 
 RecordingsArgument = Annotated[
     list[Path],
@@ -248,7 +249,7 @@ def report(
 
     refuse_unwritable(out)
     write_page(report_page(result, run), out)
-    print(out)
+    show(out)
 
 
 def linear(
@@ -272,4 +273,4 @@ def linear(
     with status() as say:
         rows = linear_study(material.learn, material.judge, split_names(models), progress=say)
     data = {"schema": "labhil.linear/1", "models": study_json(rows)}
-    deliver(data, json_path, lambda: print(*study_text(rows), sep="\n"))
+    deliver(data, json_path, lambda: show(*study_text(rows)))

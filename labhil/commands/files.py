@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from labhil.console import deliver, refuse_unwritable, status, tell
+from labhil.terminal import show
 
 RunOption = Annotated[
     int | None,
@@ -46,7 +47,7 @@ def import_(
     faults = (fault for data in read_recording(path).streams for fault in data.clock_faults)
     tell(f"{data}: {fault.statement}" for fault in faults)
     tell(_doubts(path))
-    print(path)
+    show(path)
 
 
 def _doubts(path: Path) -> list[str]:
@@ -91,7 +92,7 @@ def export(
 
     found = read_recording(recording, run).of_device(device)
     tell(found.losses())
-    print(write_table(found, out, stream))
+    show(write_table(found, out, stream))
 
 
 def recover(
@@ -118,4 +119,4 @@ def recover(
     refuse_unwritable(json_path, out)
     result = save(broken, out, keep_doubtful=keep_doubtful)
     tell(result.lines())
-    deliver(result.to_json(), json_path, lambda: print(result.path))
+    deliver(result.to_json(), json_path, lambda: show(result.path))

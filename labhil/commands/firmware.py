@@ -9,6 +9,7 @@ import typer
 
 from labhil.console import tell
 from labhil.errors import UnknownNameError
+from labhil.terminal import show
 
 
 def add_firmware(app: typer.Typer) -> None:
@@ -35,12 +36,12 @@ def firmware(
     ours = {driver: folder for driver, folder in folders.items() if folder is not None}
     if name is None:
         for driver, folder in ours.items():
-            print(f"{driver}  {folder}")
+            show(f"{driver}  {folder}")
         return
     if name not in ours:
         raise UnknownNameError("firmware", name, ours)
     if out is None:
-        print(ours[name])
+        show(ours[name])
         return
     from labhil_firmware import write_sources
 
@@ -52,4 +53,4 @@ def firmware(
             f"flash: make -C {out} flash PORT=/dev/ttyACM0",
         )
     )
-    print(out)
+    show(out)

@@ -9,6 +9,7 @@ import typer
 
 from labhil.commands.json_flag import JsonFlagCommand
 from labhil.console import write_json
+from labhil.terminal import show
 
 
 def add_machine(app: typer.Typer) -> None:
@@ -30,7 +31,7 @@ def doctor(
     for finding in examine(out):
         findings.append(finding)
         if not as_json:
-            print(line(finding), flush=True)
+            show(line(finding))
     told = to_json(findings)
     if as_json:
         write_json(told)

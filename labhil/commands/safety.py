@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import sys
 from typing import Annotated
 
 import typer
 
 from labhil.commands.json_flag import JsonFlagCommand
 from labhil.console import tell, write_json
+from labhil.terminal import complain, show
 
 Connect = Annotated[
     str | None,
@@ -54,11 +54,11 @@ def estop(
         )
     else:
         for device, state in sorted(outcome.answered.items()):
-            print(f"{device}: {state}")
+            show(f"{device}: {state}")
     for device, why in sorted(outcome.failed.items()):
-        print(f"{device}: DID NOT STOP PROPERLY: {why}", file=sys.stderr)
+        complain(f"{device}: DID NOT STOP PROPERLY: {why}")
     for device in outcome.silent:
-        print(f"{device}: NO ANSWER. Do not rely on it: switch its power off.", file=sys.stderr)
+        complain(f"{device}: NO ANSWER. Do not rely on it: switch its power off.")
     if release:
         none_there = not (outcome.answered or outcome.failed or outcome.silent)
         tell(["released"] + (["no device was there to be told"] if none_there else []))

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from labhil.console import STDOUT, deliver, refuse_unwritable, results_console, status, write_json
+from labhil.terminal import terminal
 
 
 def add_studies(app: typer.Typer) -> None:
@@ -73,8 +74,6 @@ def reference(
 
     At full length it takes a while; finished parts are kept, and the same command goes on from there.
     """
-    from rich.console import Console
-
     from labhil.campaign.reference import reference_command
     from labhil.campaign.reference.published import NUMBERS
 
@@ -89,7 +88,7 @@ def reference(
             markdown=markdown,
             json_path=None if to_stdout else json_path,
             progress=say,
-            console=Console(stderr=True) if to_stdout else None,
+            console=terminal(stderr=True) if to_stdout else None,
         )
     if to_stdout:
         write_json(found.to_json())

@@ -9,6 +9,7 @@ import typer
 
 from labhil.console import deliver, refuse_unwritable, results_console, status
 from labhil.cores import cores
+from labhil.terminal import show
 
 if TYPE_CHECKING:
     from labhil.campaign.trials.card import Card
@@ -72,8 +73,8 @@ def trial_make(
     with status() as say:
         index = make_trials(order, jobs or cores(), say)
     if index.fixed_seed:
-        print(f"Drawn from the fixed seed {seed}: good for tests, no secret to anyone who knows it.")
-    print(f"{len(index.trials)} trials of {rig} in {order.out}, answers in {order.answers}")
+        show(f"Drawn from the fixed seed {seed}: good for tests, no secret to anyone who knows it.")
+    show(f"{len(index.trials)} trials of {rig} in {order.out}, answers in {order.answers}")
 
 
 def trial_run(
@@ -93,7 +94,7 @@ def trial_run(
     with status() as say:
         sealed = run_trials(folder, jobs or cores(), say, method)
     results = Results(folder, method)
-    print(f"Results in {folder / results.name}; SHA-256 of their hashes ({results.hashes}): {sealed}")
+    show(f"Results in {folder / results.name}; SHA-256 of their hashes ({results.hashes}): {sealed}")
 
 
 def trial_score(
@@ -147,7 +148,7 @@ def trial_compare(
     """Print score cards side by side, as a Markdown table."""
     from labhil.campaign.trials.compare import compared
 
-    print(compared(cards))
+    show(compared(cards))
 
 
 def trial_calibrate(
@@ -163,10 +164,10 @@ def trial_calibrate(
     from labhil.diagnose.credence import WEIGHTS
 
     fitted = calibrated([claim for folder in folders for claim in claimed_in(folder)])
-    print(f"{fitted.claims} claims, {fitted.right} of them right")
+    show(f"{fitted.claims} claims, {fitted.right} of them right")
     names = ("a single claim, ΔBIC −100, nothing left", "ln (what is left)", "each further claim", "lg ΔBIC")
     for name, weight, error, used in zip(names, fitted.weights, fitted.errors, WEIGHTS, strict=True):
-        print(f"{name:42} {weight:7.2f} ± {error:.2f}   in use: {used:.2f}")
+        show(f"{name:42} {weight:7.2f} ± {error:.2f}   in use: {used:.2f}")
 
 
 def _tell(card: Card, json_path: Path | None, plot_path: Path | None) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from labhil.documents import DocumentError, parse_toml
 from labhil.errors import ExperimentFileError, UnknownNameError, suggestion
 from labhil.experiment.excitation.fade import faded
 from labhil.experiment.excitation.function import Excitation, Excitations, Seed
@@ -295,8 +295,8 @@ def parse_experiment(text: str, path: Path) -> Experiment:
 def parse_devices(text: str, path: Path, form: type[Form]) -> Form:
     """Read the text of a file that names devices; ExperimentFileError names the field."""
     try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        data = parse_toml(text)
+    except DocumentError as error:
         raise ExperimentFileError(f"{path}: not TOML: {error}") from error
     if "path" in data:
         raise ExperimentFileError(f"{path}: path: unknown key; did you mean record.path?")

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import sys
 from types import TracebackType
 from typing import Self
 
 import rich.progress
-from rich.console import Console
 
 from labhil.experiment.control import RunState
 from labhil.experiment.result import Progress
+from labhil.terminal import complain, terminal
 
 
 class ProgressBar:
     """A bar on stderr, fed with :class:`Progress`; where that is no terminal, a line per change of state."""
 
     def __init__(self) -> None:
-        self._console = Console(stderr=True)
+        self._console = terminal(stderr=True)
         self._bar = rich.progress.Progress(
             rich.progress.TextColumn("{task.description}"),
             rich.progress.BarColumn(),
@@ -49,5 +48,5 @@ class ProgressBar:
                 total=progress.duration,
             )
         elif progress.state is not self._shown:
-            print(progress.state.value, file=sys.stderr)
+            complain(progress.state.value)
         self._shown = progress.state

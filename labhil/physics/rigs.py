@@ -16,6 +16,7 @@ from labhil.physics.model import Begin, Metric, Model, Record, Windows, index_of
 from labhil.recording.reader import Recording
 from labhil.rig import RigFile, default_rig
 from labhil.signals import FloatArray, Stream
+from labhil.terminal import printable_name
 
 ALL_SPEEDS = ("stribeck_friction", "quadratic_viscous_friction", "cubic_viscous_friction")
 
@@ -151,13 +152,19 @@ def compile_kernels(kinds: tuple[str, ...] = ("ball_beam",)) -> None:
         model.simulate(everything, record, windows, states)
 
 
+LARGEST_VALUE = 1e50
+SMALLEST_VALUE = 1e-50
+"""In SI units, far beyond anything on a bench. The laws take third powers and the residuals are squared:
+the sixth power of larger values overflows in a double, that of a signal that is smaller throughout is 0."""
+
+
 def record_of(recording: Recording, kind: RigKind) -> Record:
     """Take the signals of a rig out of a recording; RecordingError says which are missing."""
     devices = _devices_of(recording, kind)
     if len(devices) > 1:
         raise RecordingError(
-            f"{recording.path}: expected one device of kind {kind.name}, found {', '.join(devices)}; "
-            "choose one with --device"
+            f"{recording.path}: expected one device of kind {kind.name}, found "
+            f"{', '.join(map(printable_name, devices))}; choose one with --device"
         )
     for stream in recording.streams:
         record = record_of_samples(stream.stream, stream.t, stream.values, kind)
@@ -167,6 +174,7 @@ def record_of(recording: Recording, kind: RigKind) -> Record:
             raise RecordingError(
                 f"{recording.path}: expected samples in {stream.device}/{stream.stream.name}, found 0"
             )
+        _refuse_extreme(recording, record)
         return replace(record, begins=(Begin(clock_faults=stream.clock_faults),))
     raise RecordingError(f"{recording.path}: {_needed(kind)}; found {recording.described()}")
 
@@ -212,6 +220,25 @@ def _devices_of(recording: Recording, kind: RigKind) -> list[str]:
         and any(signal.name in data.stream.names() for signal in kind.outputs)
     ]
     return list(dict.fromkeys(matching))
+
+
+def _refuse_extreme(recording: Recording, record: Record) -> None:
+    """RecordingError for values that no model can calculate with."""
+    names = (*record.input_names, *record.output_names, *record.auxiliary)
+    columns = (*record.inputs.T, *record.outputs.T, *record.auxiliary.values())
+    for name, values in zip(names, columns, strict=True):
+        sizes = np.where(np.isfinite(values), np.abs(values), 0.0)
+        huge = np.flatnonzero(sizes > LARGEST_VALUE)
+        if len(huge):
+            raise RecordingError(
+                f"{recording.path}: {name}: expected values within ±{LARGEST_VALUE:g}, found "
+                f"{values[huge[0]]:g} at {record.t[huge[0]]:g} s, and {len(huge) - 1} more"
+            )
+        if 0.0 < sizes.max(initial=0.0) < SMALLEST_VALUE:
+            raise RecordingError(
+                f"{recording.path}: {name}: expected values beyond ±{SMALLEST_VALUE:g} or 0, "
+                f"found none beyond ±{sizes.max():g}"
+            )
 
 
 def _needed(kind: RigKind) -> str:

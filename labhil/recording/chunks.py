@@ -7,6 +7,7 @@ array of bytes, so that nothing is done message by message.
 from __future__ import annotations
 
 import struct
+import zlib
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -17,12 +18,14 @@ import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Metadata
-from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 from numpy.lib.stride_tricks import sliding_window_view
 
+from labhil.bounds import Budget, ImplausibleError
 from labhil.codec import ByteRows
+from labhil.recording.packing import unpack
 from labhil.signals import IntArray
+from labhil.terminal import printable_name
 
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<BQH")
@@ -69,9 +72,16 @@ def is_mcap(data: bytes) -> bool:
     return data[: len(MCAP0_MAGIC)] == MCAP0_MAGIC
 
 
+class RedescribedError(ValueError):
+    """The number of a channel has another meaning from here on: what follows is of another file."""
+
+
 def scan(data: bytes) -> Contents:
-    """Read all that can be read of an MCAP file, with or without its end."""
-    contents = Contents()
+    """Read all that can be read of an MCAP file, with or without its end.
+
+    ImplausibleError when it claims to hold more than a file of its size can.
+    """
+    contents, budget = Contents(), Budget.of(len(data))
     position = len(MCAP0_MAGIC)
     while position + _RECORD.size <= len(data):
         opcode, length = _RECORD.unpack_from(data, position)
@@ -82,10 +92,15 @@ def scan(data: bytes) -> Contents:
         if end > len(data):
             break
         try:
-            _take(contents, opcode, data[start:end])
+            _take(contents, opcode, data[start:end], budget)
+        except ImplausibleError:
+            raise
+        except RedescribedError as error:
+            contents.damage = f"byte {position}: {error}"
+            return contents
         except Exception as error:  # noqa: BLE001 - lz4, zstd, struct and mcap each raise their own
             contents.damage = f"byte {position}: a damaged record was left out: {error}"
-        if opcode == Opcode.FOOTER and data[end:] == MCAP0_MAGIC:
+        if opcode == Opcode.FOOTER and len(data) - end == len(MCAP0_MAGIC) and data[end:] == MCAP0_MAGIC:
             return contents
         position = end
     missing = f"the file ends after {len(data)} bytes, without the end that a finished recording has"
@@ -93,14 +108,12 @@ def scan(data: bytes) -> Contents:
     return contents
 
 
-def _take(contents: Contents, opcode: int, body: bytes) -> None:
+def _take(contents: Contents, opcode: int, body: bytes, budget: Budget) -> None:
     stream = ReadDataStream(BytesIO(body))
     if opcode == Opcode.CHUNK:
-        raw_stream, size = get_chunk_data_stream(Chunk.read(stream), validate_crc=True)
-        _take_chunk(contents, raw_stream.read(size))
+        _take_chunk(contents, _unpacked(Chunk.read(stream), budget), budget)
     elif opcode == Opcode.CHANNEL:
-        channel = Channel.read(stream)
-        contents.channels.setdefault(channel.id, channel)
+        _take_channel(contents, Channel.read(stream))
     elif opcode == Opcode.ATTACHMENT:
         attachment = Attachment.read(stream)
         contents.attachments[attachment.name] = bytes(attachment.data)
@@ -108,17 +121,42 @@ def _take(contents: Contents, opcode: int, body: bytes) -> None:
         metadata = Metadata.read(stream)
         contents.metadata[metadata.name] = metadata.metadata
     elif opcode == Opcode.MESSAGE:  # a file without chunks
+        _refuse_short(len(body))
         row = np.frombuffer(body, dtype=np.uint8)[np.newaxis]
         contents.messages[int.from_bytes(body[:2], "little")].pieces.append(row)
 
 
-def _take_chunk(contents: Contents, raw: bytes) -> None:
+def _unpacked(chunk: Chunk, budget: Budget) -> bytes:
+    budget.take_content(chunk.uncompressed_size)
+    raw = unpack(chunk.compression, chunk.data, chunk.uncompressed_size)
+    if chunk.uncompressed_crc not in (0, zlib.crc32(raw)):
+        raise ValueError("its checksum is wrong")
+    return raw
+
+
+def _take_channel(contents: Contents, channel: Channel) -> None:
+    known = contents.channels.setdefault(channel.id, channel)
+    if (known.topic, known.message_encoding) != (channel.topic, channel.message_encoding):
+        raise RedescribedError(
+            f"channel {channel.id} is {printable_name(known.topic)}, and from here on "
+            f"{printable_name(channel.topic)}: the file is pieced together from several"
+        )
+
+
+def _refuse_short(length: int) -> None:
+    if length < _MESSAGE_HEAD:
+        raise ValueError(f"expected a message of {_MESSAGE_HEAD} bytes or more, found one of {length}")
+
+
+def _take_chunk(contents: Contents, raw: bytes, budget: Budget) -> None:
     places: defaultdict[int, list[tuple[int, int]]] = defaultdict(list)
     for opcode, start, length, channel in _records(raw):
+        budget.take_record()
         if opcode == Opcode.MESSAGE:
+            _refuse_short(length)
             places[channel].append((start, length))
-        else:
-            _take(contents, opcode, raw[start : start + length])
+        elif opcode != Opcode.CHUNK:  # there is none within another
+            _take(contents, opcode, raw[start : start + length], budget)
     flat = np.frombuffer(raw, dtype=np.uint8)
     for channel, found in places.items():
         starts, lengths = np.array(found).T
@@ -138,5 +176,7 @@ def _records(raw: bytes) -> Iterator[tuple[int, int, int, int]]:
     while position < end:
         opcode, length, channel = _MESSAGE.unpack_from(padded, position)
         position += _RECORD.size
+        if opcode == 0 or length > end - position:
+            raise ValueError("expected whole records in a chunk, found one that is not")
         yield opcode, position, length, channel
         position += length

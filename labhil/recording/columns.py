@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 
+from labhil.bounds import ImplausibleError
 from labhil.errors import TableError
 from labhil.recording.chunks import is_mcap, scan
-from labhil.recording.formats.bag import read_bag
+from labhil.recording.formats.apart import read_apart
 from labhil.recording.formats.columns import Columns
-from labhil.recording.formats.matlab import read_hdf5, read_mat
-from labhil.recording.formats.parquet import read_parquet
 from labhil.recording.formats.text import read_text
-from labhil.recording.formats.workbook import read_workbook
 from labhil.rig import Table
+from labhil.terminal import printable_name
 
 READ = "text tables, MAT files, Parquet, XLSX and ROS 2 bags"
 
@@ -38,46 +36,46 @@ def read_columns(path: Path, data: bytes, table: Table, wanted: Sequence[str]) -
     that is not read, MissingExtraError when what reads it is not installed.
     """
     if path.is_dir():
-        return _read_folder(path, wanted)
+        return _read_folder(path, table, wanted)
     if not data.strip():
         raise TableError(f"{path}: expected a table, found an empty file")
     if data.startswith(b"PK\x03\x04") and _is_workbook(path):
-        return read_workbook(path, table, wanted)
+        return read_apart("workbook", path, table, wanted)
     if data.startswith(b"SQLite format 3") or is_mcap(data):
-        return _read_bag_file(path, data, wanted)
-    read_numbers = _numbers_reader(path, data, wanted)
-    if read_numbers is not None:
-        return read_numbers(path)
+        return _read_bag_file(path, data, table, wanted)
+    kind = _kind_of_numbers(path, data)
+    if kind is not None:
+        return read_apart(kind, path, table, wanted)
     found = next((what for magic, what in NOT_READ.items() if data.startswith(magic)), "")
     if found:
         raise TableError(f"{path}: expected one of {READ}, found {found}")
     return read_text(path, data, table, wanted)
 
 
-def _numbers_reader(path: Path, data: bytes, wanted: Sequence[str]) -> Callable[[Path], Columns] | None:
-    """What reads a file whose columns have names and numbers, so that [table] has nothing to say."""
+def _kind_of_numbers(path: Path, data: bytes) -> str | None:
+    """Which kind of file whose columns have names and numbers, so that [table] has nothing to say."""
     if data.startswith(b"MATLAB 5.0") or (path.suffix.lower() == ".mat" and b"\x00" in data[:20]):
-        return partial(read_mat, wanted=wanted)
+        return "mat"
     if data.startswith((b"MATLAB 7.3", b"\x89HDF")):
-        return partial(read_hdf5, wanted=wanted)
-    return read_parquet if data.startswith(b"PAR1") else None
+        return "hdf5"
+    return "parquet" if data.startswith(b"PAR1") else None
 
 
-def _read_folder(path: Path, wanted: Sequence[str]) -> Columns:
+def _read_folder(path: Path, table: Table, wanted: Sequence[str]) -> Columns:
     if not (path / "metadata.yaml").is_file():
         found = ", ".join(sorted(inner.name for inner in path.iterdir())[:5]) or "nothing"
         raise TableError(
             f"{path}: expected a file, or the folder of a ROS 2 bag with its metadata.yaml, "
             f"found a folder with {found}"
         )
-    return read_bag(path, wanted)
+    return read_apart("bag", path, table, wanted)
 
 
 def _is_workbook(path: Path) -> bool:
     try:
         with zipfile.ZipFile(path) as file:
             inside = file.namelist()
-    except (zipfile.BadZipFile, OSError) as error:
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
         raise TableError(
             f"{path}: expected a workbook (XLSX), found one that is cut or damaged: {error}"
         ) from error
@@ -89,19 +87,24 @@ def _is_workbook(path: Path) -> bool:
     return True
 
 
-def _read_bag_file(path: Path, data: bytes, wanted: Sequence[str]) -> Columns:
+def _read_bag_file(path: Path, data: bytes, table: Table, wanted: Sequence[str]) -> Columns:
     if not is_mcap(data):
         if path.suffix != ".db3":
             raise TableError(
                 f"{path}: expected a ROS 2 bag's SQLite file to end in .db3, found {path.suffix!r}"
             )
-        return read_bag(path, wanted)
+        return read_apart("bag", path, table, wanted)
     if data[MCAP_PROFILE] == b"\x04\x00\x00\x00ros2":
-        return read_bag(path, wanted)
-    channels = scan(data).channels.values()
+        return read_apart("bag", path, table, wanted)
+    try:
+        channels = scan(data).channels.values()
+    except ImplausibleError as error:
+        raise TableError(f"{path}: {error}") from error
     if any("labhil.stream" in channel.metadata for channel in channels):
         raise TableError(f"{path}: expected a table, found an MCAP recording of ours, which needs no import")
-    topics = ", ".join(f"{one.topic} ({one.message_encoding or 'no encoding'})" for one in channels)
+    topics = ", ".join(
+        printable_name(f"{one.topic} ({one.message_encoding or 'no encoding'})") for one in channels
+    )
     found = f"of another program with {topics}" if topics else "without channels"
     cdr = any(one.message_encoding == "cdr" for one in channels)
     hint = "; `ros2 bag convert` writes one whose profile is ros2" if cdr else ""

@@ -12,10 +12,11 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from itertools import combinations
-from math import hypot
+from math import hypot, isfinite
 
 import numpy as np
 
+from labhil.documents import parse_json
 from labhil.recording.clock import ClockFit, fit_clock
 from labhil.recording.stamps import Stamps
 from labhil.signals import IntArray
@@ -168,6 +169,8 @@ def clocks_from_metadata(metadata: Mapping[str, Mapping[str, str]]) -> dict[str,
     """Read what :func:`clocks_to_metadata` wrote; what is not like that is left out."""
     clocks = {}
     for device, text in metadata.get(CLOCKS, {}).items():
-        with contextlib.suppress(ValueError, TypeError):
-            clocks[device] = DeviceClock(**json.loads(text))
+        with contextlib.suppress(ValueError, TypeError, OverflowError):
+            clock = DeviceClock(**parse_json(text))
+            if all(type(value) in (int, float) and isfinite(value) for value in asdict(clock).values()):
+                clocks[device] = clock
     return clocks

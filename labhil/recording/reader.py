@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from mcap.records import Channel
 
+from labhil.bounds import ImplausibleError
 from labhil.codec import Codec, stream_from_json
+from labhil.documents import parse_json
 from labhil.errors import ProtocolError, RecordingError, suggestion
 from labhil.recording.chunks import Contents, Messages, is_mcap, scan
 from labhil.recording.clock import ClockFit, fit_clock
@@ -27,6 +29,13 @@ from labhil.recording.runs import MixedRunsError, Run, choose_run, runs_of
 from labhil.recording.stamps import HOST_CLOCK, Stamps, in_time_of
 from labhil.rig import RigFile
 from labhil.signals import Batch, Direction, FloatArray, IntArray, Stream
+from labhil.terminal import printable_name
+
+LARGEST_SPEED = 1e6
+"""Seconds of a device's world in one of the host, at most: no simulation is faster."""
+
+LARGEST_STAMP = 1 << 62
+"""ns or counts; as Unix time it is the year 2116, and differences of such stamps fit into 64 bits."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +154,7 @@ class Recording:
         if name not in devices:
             raise RecordingError(
                 f"{self.path}: expected samples of the device {name!r}{suggestion(name, devices)}; "
-                f"found: {', '.join(devices) or 'no device at all'}"
+                f"found: {', '.join(map(printable_name, devices)) or 'no device at all'}"
             )
         streams = tuple(data for data in self.streams if data.device == name)
         own = attached_rig(self.path, self.attachments, name)
@@ -158,7 +167,7 @@ class Recording:
             return found[0]
         wanted = " and ".join(names)
         if found:
-            where = ", ".join(f"/{data.device}/{data.stream.name}" for data in found)
+            where = ", ".join(printable_name(f"/{data.device}/{data.stream.name}") for data in found)
             raise RecordingError(f"{self.path}: expected one stream with {wanted}, found several: {where}")
         here = [name for data in self.streams for name in data.stream.names()]
         near = "".join(suggestion(name, here) for name in names if name not in here)
@@ -181,7 +190,7 @@ class Recording:
         if not self.streams:
             return self.no_streams()
         found = [
-            f"/{data.device}/{data.stream.name}: {', '.join(data.stream.names())}" for data in self.streams
+            f"{_shown(data.device, data.stream)}: {', '.join(data.stream.names())}" for data in self.streams
         ]
         others = [f"of another program: {', '.join(self.foreign)}"] if self.foreign else []
         return "; ".join(found + others)
@@ -190,7 +199,7 @@ class Recording:
         """What is not as it should be, a line each: no end, damaged parts, lost samples, faulty clocks."""
         lines = [f"{self.path}: read as far as it goes: {self.damage}"] if self.damage else []
         for data in self.streams:
-            name = f"{data.device}/{data.stream.name}"
+            name = _shown(data.device, data.stream)[1:]
             counts = {
                 f"samples of {name} were lost": data.lost,
                 f"exact copies of samples of {name} were dropped": data.copies,
@@ -252,7 +261,10 @@ def read_recording(path: Path, run: int | None = None) -> Recording:
 
 def _read(path: Path, run: int | None) -> Recording:
     data = _bytes_of(path)
-    contents = scan(data)
+    try:
+        contents = scan(data)
+    except ImplausibleError as error:
+        raise RecordingError(f"{path}: {error}; `labhil recover` saves what is plausible of it") from error
     topics = _topics(path, contents)
     untimed, span = choose_run(path, topics, run)
     origin_ns = min((int(s.t_acq_ns[0]) for s in untimed if len(s)), default=0)
@@ -274,7 +286,7 @@ def _read(path: Path, run: int | None) -> Recording:
 
 def _foreign(contents: Contents) -> tuple[str, ...]:
     return tuple(
-        f"{channel.topic} ({channel.message_encoding or 'no encoding'})"
+        f"{printable_name(channel.topic)} ({printable_name(channel.message_encoding) or 'no encoding'})"
         for channel in contents.channels.values()
         if "labhil.stream" not in channel.metadata and "device" not in channel.metadata
     )
@@ -306,10 +318,11 @@ def _topics(path: Path, contents: Contents) -> list[list[StreamData]]:
         try:
             stream = stream_from_json(channel.metadata["labhil.stream"])
             batch = _decode(Codec(stream), contents.messages[channel.id])
+            _check_stamps(batch)
             _speed(channel.metadata)
+            device = _device(channel)
         except (ProtocolError, ValueError) as error:
-            raise RecordingError(f"{path}: {channel.topic}: {error}") from error
-        device = channel.metadata.get("device", channel.topic.split("/")[1])
+            raise RecordingError(f"{path}: {printable_name(channel.topic)}: {error}") from error
         channels.setdefault((device, stream), []).append((channel.metadata, batch))
     topics: dict[tuple[str, str], list[StreamData]] = {}
     for (device, stream), found in channels.items():
@@ -317,7 +330,7 @@ def _topics(path: Path, contents: Contents) -> list[list[StreamData]]:
         try:
             runs = runs_of([batch for _, batch in filled])
         except MixedRunsError as error:
-            raise RecordingError(f"{path}: /{device}/{stream.name}: {error}") from error
+            raise RecordingError(f"{path}: {_shown(device, stream)}: {error}") from error
         told = filled[0][0]
         topics.setdefault((device, stream.name), []).extend(
             _untimed(device, stream, told, run) for run in runs
@@ -345,11 +358,38 @@ def _untimed(device: str, stream: Stream, metadata: Mapping[str, str], run: Run)
     )
 
 
+def _shown(device: str, stream: Stream) -> str:
+    """The topic of a stream, for messages."""
+    return f"/{printable_name(device)}/{printable_name(stream.name)}"
+
+
 def _speed(metadata: Mapping[str, str]) -> float:
     speed = float(metadata.get("speed", "1"))
-    if not 0 < speed < float("inf"):
-        raise ValueError(f"expected a positive speed, found {speed}")
+    if not 1.0 / LARGEST_SPEED < speed < LARGEST_SPEED:
+        raise ValueError(f"expected a speed between 1/{LARGEST_SPEED:g} and {LARGEST_SPEED:g}, found {speed}")
     return speed
+
+
+def _device(channel: Channel) -> str:
+    """The device of a channel: as its metadata say, or its topic, which is /device/stream."""
+    device = channel.metadata.get("device")
+    if device:
+        return device
+    root, _, rest = channel.topic.partition("/")
+    device, _, stream = rest.partition("/")
+    if root or not device or not stream:
+        raise ValueError("expected a topic /device/stream, or the metadata `device`")
+    return device
+
+
+def _check_stamps(batch: Batch) -> None:
+    """ValueError for stamps whose differences would not fit into 64 bits: no clock shows them."""
+    for name, stamps in (("seq", batch.seq), ("t_acq_ns", batch.t_acq_ns), ("t_hw_ns", batch.t_hw_ns)):
+        wrong = np.flatnonzero((stamps < -LARGEST_STAMP) | (stamps > LARGEST_STAMP))
+        if len(wrong):
+            raise ValueError(
+                f"message {wrong[0]}: expected a {name} within ±{LARGEST_STAMP}, found {stamps[wrong[0]]}"
+            )
 
 
 def _decode(codec: Codec, messages: Messages) -> Batch:
@@ -426,7 +466,7 @@ def _events(contents: Contents, origin_ns: int, streams: Sequence[StreamData]) -
 
 def _body(payload: bytes) -> Mapping[str, Any]:
     try:
-        body = json.loads(payload)
+        body = parse_json(payload)
     except ValueError:
         body = payload.decode("utf-8", "replace")
     return body if isinstance(body, dict) else {"text": str(body)}

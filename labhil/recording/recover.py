@@ -23,6 +23,7 @@ from labhil.recording.chunks import is_mcap, scan
 from labhil.recording.reorder import Ordered, reorder
 from labhil.recording.salvage import Loss, Message, Salvage, salvage
 from labhil.recording.writer import CHUNK_SIZE
+from labhil.terminal import printable_name
 
 METADATA = "recover"
 MOST_SPANS = 5
@@ -83,6 +84,7 @@ class Recovery:
     copies: int
     moved: int
     notes: tuple[str, ...]
+    spliced: bool = False
 
     @property
     def bytes_lost(self) -> int:
@@ -111,6 +113,11 @@ class Recovery:
             lines.append("the file had no end (footer): its recorder was killed, or it is cut")
         if self.nameless:
             lines.append(f"lost: {self.nameless} messages of channels that nothing in the file describes")
+        if self.spliced:
+            lines.append(
+                "the file is pieced together from several: it gives the number of a channel to different "
+                "ones; each keeps its own messages"
+            )
         if self.doubtful:
             lines.append(
                 f"doubtful: {self.doubtful} messages come from chunks whose checksum is wrong; "
@@ -213,7 +220,11 @@ def _account(source: Path, data: bytes, out: Path, found: Salvage, ordered: Orde
     for message in known:
         by_channel[message.channel].append(message)
     origin = min(message.log_time for message in known)
-    told = found.statistics.channel_message_counts if found.statistics is not None else {}
+    # the statistics of a file that is pieced together count by numbers that mean several things
+    counted = found.statistics is not None and not found.spliced
+    told = found.statistics.channel_message_counts if found.statistics and counted else {}
+    if any(len(messages) > told.get(number, 0) for number, messages in by_channel.items()):
+        told = {}  # they are those of a part of it only
     indexed: Counter[int] = Counter()
     for loss in found.losses:
         indexed.update(loss.messages)
@@ -244,6 +255,7 @@ def _account(source: Path, data: bytes, out: Path, found: Salvage, ordered: Orde
         losses=tuple(found.losses),
         nameless=sum(message.channel not in found.channels for message in found.messages),
         doubtful=found.doubtful,
+        spliced=found.spliced,
         ended=found.ended,
         copies=sum(ordered.copies.values()),
         moved=ordered.moved,
@@ -265,7 +277,7 @@ def _indexed(loss: Loss) -> str:
 
 
 def _stream_lines(stream: StreamRecovery) -> Iterator[str]:
-    line = f"{stream.topic}: {stream.saved} messages saved"
+    line = f"{printable_name(stream.topic)}: {stream.saved} messages saved"
     if stream.saved:
         line += f", {stream.start:.3f} to {stream.end:.3f} s"
     if stream.expected is not None and stream.expected != stream.saved:

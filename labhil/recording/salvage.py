@@ -7,36 +7,41 @@ is the only thing that is wrong in it; of a chunk that was cut off, the messages
 
 from __future__ import annotations
 
-import re
-import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from typing import Any
 
-import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, Metadata, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
 
+from labhil.bounds import FREE, LARGEST_CHUNK, RATIO, Budget, ImplausibleError
 from labhil.recording.chunks import is_mcap
+from labhil.recording.definitions import Definitions
+from labhil.recording.packing import unpack, unpack_prefix
+from labhil.recording.whole_records import (
+    CHUNK,
+    COMPRESSIONS,
+    INDEX,
+    MESSAGE,
+    PLACE,
+    RECORD,
+    ChunkHeader,
+    chunk_header,
+    is_end,
+    next_record,
+    sound_checksum,
+    whole_record,
+)
 
-_RECORD = struct.Struct("<BQ")
-_CHUNK = struct.Struct("<QQQII")  # start and end time, size and CRC of the content, length of the name
-_MESSAGE = struct.Struct("<HIQQ")
-_INDEX = struct.Struct("<HI")
-_PLACE = struct.Struct("<QQ")
+_DESCRIPTIONS: dict[int, Any] = {Opcode.SCHEMA: Schema.read, Opcode.CHANNEL: Channel.read}
 
-COMPRESSIONS = (b"lz4", b"zstd", b"")
-LARGEST_CHUNK = 1 << 32
-
-_CANDIDATE = re.compile(rb"(?=[\x01-\x0f].{5}\x00{3})", re.DOTALL)
-"""Where a record of less than a terabyte may begin."""
-
-FIXED_LENGTHS = {Opcode.FOOTER: 20, Opcode.DATA_END: 4, Opcode.SUMMARY_OFFSET: 17}
+_INNER = {Opcode.MESSAGE, *_DESCRIPTIONS}
+"""What stands in chunks."""
 
 INDEXES = {
     Opcode.MESSAGE_INDEX,
@@ -87,6 +92,7 @@ class Salvage:
     chunks: int = 0
     losses: list[Loss] = field(default_factory=list)
     doubtful: int = 0
+    spliced: bool = False
     ended: bool = False
 
 
@@ -104,6 +110,10 @@ class _Walk:
         self._data = data
         self._keep_doubtful = keep_doubtful
         self._found = Salvage()
+        self._names = Definitions()
+        self._budget = Budget.of(len(data))
+        self._resumed = False  # whether what comes may have been in a chunk whose head was damaged
+        self._stray: list[tuple[int, int]] = []  # where such messages stand in the file and in what was found
         self._hit: Loss | None = None  # the chunk that was lost last, until its index has been read
 
     def walk(self) -> Salvage:
@@ -111,18 +121,26 @@ class _Walk:
         data, found = self._data, self._found
         position = len(MCAP0_MAGIC) if is_mcap(data) else 0
         while position < len(data):
-            if data[position:] == MCAP0_MAGIC and found.ended:
-                return found
+            if found.ended and is_end(data, position):
+                break
             end = whole_record(data, position)
             if end is None:
                 position = self._step_over(position)
+                self._resumed = True
                 continue
-            opcode = data[position]
+            opcode, body = data[position], data[position + RECORD.size : end]
+            self._resumed = self._resumed and opcode in _INNER
             if opcode == Opcode.CHUNK:
                 self._take_chunk(position, end)
+            elif self._resumed:
+                self._take_stray(opcode, position, body)
             else:
-                self._take(opcode, data[position + _RECORD.size : end])
+                self._take(opcode, body)
             position = end
+        self._judge_stray()
+        names = self._names
+        names.settle({message.channel for message in found.messages})
+        found.schemas, found.channels, found.spliced = names.schemas, names.channels, names.renumbered
         return found
 
     def _step_over(self, position: int) -> int:
@@ -130,9 +148,11 @@ class _Walk:
         data = self._data
         after = next_record(data, position + 1)
         chunk = chunk_header(data, position)
-        if chunk is not None and chunk.end > len(data) and after == len(data):
+        # in content that is not packed whole records follow, those of the chunk itself
+        last = after == len(data) or (chunk is not None and not chunk.compression)
+        if chunk is not None and chunk.end > len(data) and last:
             self._take_cut_chunk(position, chunk)
-            return after
+            return len(data)
         if self._rescue_chunk(position, after):
             return after
         looks_like_chunk = data[position] == Opcode.CHUNK
@@ -159,13 +179,11 @@ class _Walk:
         if opcode == Opcode.HEADER:
             found.profile = Header.read(stream).profile
         elif opcode == Opcode.SCHEMA:
-            schema = Schema.read(stream)
-            found.schemas.setdefault(schema.id, schema)
+            self._names.schema(Schema.read(stream))
         elif opcode == Opcode.CHANNEL:
-            channel = Channel.read(stream)
-            found.channels.setdefault(channel.id, channel)
+            self._names.channel(Channel.read(stream))
         elif opcode == Opcode.MESSAGE:
-            found.messages.append(_message(body))
+            found.messages.append(self._message(body))
         elif opcode == Opcode.ATTACHMENT:
             found.attachments.append(Attachment.read(stream))
         elif opcode == Opcode.METADATA:
@@ -175,19 +193,41 @@ class _Walk:
         elif opcode == Opcode.FOOTER:
             found.ended = True
 
+    def _take_stray(self, opcode: int, position: int, body: bytes) -> None:
+        """Take a message or a description after a damaged part: it may be a piece of a damaged chunk."""
+        if opcode == Opcode.MESSAGE:
+            self._stray.append((position, len(self._found.messages)))
+            self._take(opcode, body)
+        else:
+            self._describe(opcode, body, sound=False)
+
+    def _judge_stray(self) -> None:
+        """In a file with chunks no checksum guards messages outside of them: they are doubtful."""
+        found = self._found
+        if not self._stray or not (found.chunks or any(loss.chunk for loss in found.losses)):
+            return
+        if self._keep_doubtful:
+            found.doubtful += len(self._stray)
+            return
+        for position, place in reversed(self._stray):
+            message = found.messages.pop(place)
+            end = position + RECORD.size + MESSAGE.size + len(message.data)
+            found.losses.append(Loss(position, end, "a message outside the chunks, without a checksum"))
+        found.losses.sort(key=lambda loss: loss.start)
+
     def _count_lost(self, body: bytes) -> None:
         if self._hit is None or not self._hit.chunk:
             return
-        channel, size = _INDEX.unpack_from(body)
+        channel, size = INDEX.unpack_from(body)
         counts = self._hit.messages
-        counts[channel] = counts.get(channel, 0) + size // _PLACE.size
+        counts[channel] = counts.get(channel, 0) + size // PLACE.size
 
     def _take_chunk(self, position: int, end: int) -> None:
         chunk = chunk_header(self._data, position)
         assert chunk is not None, "whole_record has looked at it"
         self._hit = None
         try:
-            raw = unpacked(chunk.compression, self._data[chunk.content : end], chunk.size)
+            raw = self._unpacked(chunk.compression, self._data[chunk.content : end], chunk.size)
         except Exception as error:  # noqa: BLE001 - lz4 and zstd each raise their own
             self._lose(Loss(position, end, f"a chunk that cannot be unpacked: {error}", chunk=True))
             return
@@ -197,18 +237,20 @@ class _Walk:
             self._lose(Loss(position, end, what, chunk=True))
             return
         before = len(self._found.messages)
-        whole = self._take_content(raw)
+        whole = self._take_content(raw, sound=sound)
         self._found.chunks += 1
         if not sound:
             self._found.doubtful += len(self._found.messages) - before
         if whole < len(raw):
-            self._lose(Loss(position, end, "the rest of a chunk, from a damaged record on", chunk=True))
+            self._lose(Loss(position, end, "a part of a chunk, where a record is damaged", chunk=True))
 
     def _take_cut_chunk(self, position: int, chunk: ChunkHeader) -> None:
         """Of a chunk that the end of the file cuts off, take the messages before the cut."""
         data, before = self._data, len(self._found.messages)
-        raw = unpacked_prefix(chunk.compression, data[chunk.content :])
-        self._take_content(raw)
+        raw = unpack_prefix(
+            chunk.compression.decode(), data[chunk.content :], min(chunk.size, self._budget.content)
+        )
+        self._take_content(raw, sound=False)
         saved = len(self._found.messages) - before
         what = f"a chunk that is cut off; {saved} messages before the cut were saved"
         self._lose(Loss(position, len(data), what, chunk=True))
@@ -216,181 +258,81 @@ class _Walk:
     def _rescue_chunk(self, position: int, after: int) -> bool:
         """A chunk with a damaged head whose content still has the checksum that stands there."""
         data = self._data
-        if after - position < _RECORD.size + _CHUNK.size:
+        if after - position < RECORD.size + CHUNK.size:
             return False
-        _, _, size, crc, _ = _CHUNK.unpack_from(data, position + _RECORD.size)
+        _, _, size, crc, _ = CHUNK.unpack_from(data, position + RECORD.size)
         for compression in COMPRESSIONS:
-            content = position + _RECORD.size + _CHUNK.size + len(compression) + 8
+            content = position + RECORD.size + CHUNK.size + len(compression) + 8
             try:
-                raw = unpacked(compression, data[content:after], min(size, LARGEST_CHUNK))
+                raw = self._unpacked(compression, data[content:after], size)
             except Exception:  # noqa: BLE001 - it was none of this compression
                 continue
             if raw and zlib.crc32(raw) == crc:
-                self._take_content(raw)
+                self._take_content(raw, sound=True)
                 self._found.chunks += 1
                 self._hit = None
                 return True
         return False
 
-    def _take_content(self, raw: bytes) -> int:
-        """Take the records of a chunk; returns how many bytes of it are whole records."""
-        position = 0
-        for opcode, start, end in _records(raw):
-            if opcode == Opcode.MESSAGE:
-                self._found.messages.append(_message(raw[start:end]))
-            elif opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
-                self._take(opcode, raw[start:end])
-            position = end
-        return position
+    def _take_content(self, raw: bytes, *, sound: bool) -> int:
+        """Take the records of a chunk; returns how many bytes of it are whole records.
 
+        Descriptions of channels and schemas in content that is not ``sound`` yield to all others.
+        """
+        position = damaged = 0
+        try:
+            for opcode, start, end in _records(raw):
+                self._budget.take_record()
+                position = end
+                if opcode == Opcode.MESSAGE:
+                    self._found.messages.append(self._message(raw[start:end]))
+                elif opcode in _DESCRIPTIONS and not self._describe(opcode, raw[start:end], sound):
+                    damaged += end - start
+        except ImplausibleError:
+            pass  # what follows is lost: it stands behind ``position``
+        return position - damaged
 
-@dataclass(frozen=True, slots=True)
-class ChunkHeader:
-    """The head of a chunk: where its content begins and its record ends (bytes), and what it says."""
-
-    content: int
-    end: int
-    compression: bytes
-    size: int
-    crc: int
-
-
-def chunk_header(data: bytes, position: int) -> ChunkHeader | None:
-    """Read the head of a chunk at ``position``; None when its lengths contradict each other."""
-    if len(data) < position + _RECORD.size + _CHUNK.size + 8 or data[position] != Opcode.CHUNK:
-        return None
-    length = _RECORD.unpack_from(data, position)[1]
-    start, end, size, crc, named = _CHUNK.unpack_from(data, position + _RECORD.size)
-    name = position + _RECORD.size + _CHUNK.size
-    if named > 4 or name + named + 8 > len(data):
-        return None
-    compression = data[name : name + named]
-    (packed,) = struct.unpack_from("<Q", data, name + named)
-    fits = length == _CHUNK.size + named + 8 + packed and size <= LARGEST_CHUNK and start <= end
-    if compression not in COMPRESSIONS or not fits:
-        return None
-    content = name + named + 8
-    return ChunkHeader(content, content + packed, compression, size, crc)
-
-
-def whole_record(data: bytes, position: int) -> int | None:
-    """Where the record at ``position`` ends, or None when it is not whole in itself."""
-    if position + _RECORD.size > len(data):
-        return None
-    opcode, length = _RECORD.unpack_from(data, position)
-    start, end = position + _RECORD.size, position + _RECORD.size + length
-    if opcode not in set(Opcode) or end > len(data) or FIXED_LENGTHS.get(opcode, length) != length:
-        return None
-    if opcode == Opcode.CHUNK:
-        return end if chunk_header(data, position) is not None else None
-    try:
-        return end if _fits(opcode, data[start:end]) else None
-    except Exception:  # noqa: BLE001 - mcap's parsers raise almost anything on garbage
-        return None
-
-
-def next_record(data: bytes, position: int) -> int:
-    """Where the next whole record begins that another one, or the end, follows; else the file's length."""
-    for candidate in _CANDIDATE.finditer(data, position):
-        start = candidate.start()
-        end = whole_record(data, start)
-        if end is not None and (end >= len(data) or data[end:] == MCAP0_MAGIC or _begins(data, end)):
-            return start
-    return len(data)
-
-
-def sound_checksum(stored: int, calculated: int, *, whole_size: bool) -> bool:
-    """Whether content is whole: the checksums agree, or only the stored one can have been damaged.
-
-    0 stands for none. Content that is damaged changes all four bytes of its CRC: one that differs in a
-    single byte (1 in 4 million by chance) was hit itself. ``whole_size`` is whether the content has the
-    size that it should have.
-    """
-    differing = sum(byte != 0 for byte in struct.pack("<I", stored ^ calculated))
-    return differing == 0 or (whole_size and (stored == 0 or differing == 1))
-
-
-def unpacked(compression: bytes, content: bytes, size: int) -> bytes:
-    """The content of a chunk; raises whatever its library raises."""
-    if compression == b"lz4":
-        return bytes(lz4.frame.decompress(content))
-    if compression == b"zstd":
-        return zstandard.ZstdDecompressor().decompress(content, max_output_size=size)
-    return content
-
-
-def unpacked_prefix(compression: bytes, content: bytes) -> bytes:
-    """As much as can be had of content that is cut off."""
-    if not compression:
-        return content
-    packer: Any = (
-        lz4.frame.LZ4FrameDecompressor()
-        if compression == b"lz4"
-        else zstandard.ZstdDecompressor().decompressobj()
-    )
-    try:
-        return bytes(packer.decompress(content))
-    except Exception:  # noqa: BLE001 - each library raises its own
-        return b""
-
-
-def _begins(data: bytes, position: int) -> bool:
-    """Whether a record seems to begin here: one that ends within the file, or a chunk that is cut off."""
-    if position + _RECORD.size > len(data):
+    def _describe(self, opcode: int, body: bytes, sound: bool) -> bool:
+        """Take the description of a channel or a schema; whether it is whole."""
+        try:
+            description = _DESCRIPTIONS[opcode](ReadDataStream(BytesIO(body)))
+        except Exception:  # noqa: BLE001 - mcap's parsers raise almost anything on garbage
+            return False
+        if not sound:
+            self._names.doubtful(description)
+        elif isinstance(description, Schema):
+            self._names.schema(description)
+        else:
+            self._names.channel(description)
         return True
-    opcode, length = _RECORD.unpack_from(data, position)
-    if opcode not in set(Opcode):
-        return False
-    return position + length <= len(data) or chunk_header(data, position) is not None
 
+    def _unpacked(self, compression: bytes, content: bytes, size: int) -> bytes:
+        """The content of a chunk, within what a file of this size may hold; raises what its library raises.
 
-def _fits(opcode: int, body: bytes) -> bool:
-    """Whether the lengths inside a record add up to its own."""
-    if opcode in FIXED_LENGTHS:
-        return True
-    if opcode == Opcode.MESSAGE:
-        return len(body) >= _MESSAGE.size
-    if opcode == Opcode.MESSAGE_INDEX:
-        _, size = _INDEX.unpack_from(body)
-        return bool(size) and size % _PLACE.size == 0 and len(body) == _INDEX.size + size
-    if opcode == Opcode.ATTACHMENT:
-        (stored,) = struct.unpack_from("<I", body, len(body) - 4)
-        return stored == 0 or zlib.crc32(body[:-4]) == stored
-    stream = ReadDataStream(BytesIO(body))
-    _READERS[Opcode(opcode)](stream)
-    return stream.count == len(body)
+        The size that the chunk claims may itself be damaged: it is no limit.
+        """
+        most = min(self._budget.content, LARGEST_CHUNK)
+        if compression == b"lz4":
+            most = min(most, FREE + RATIO * len(content))
+        elif compression == b"zstd":
+            most = min(most, max(size, zstandard.frame_content_size(content)))
+        raw = unpack(compression.decode(), content, most)
+        self._budget.take_content(len(raw))
+        return raw
 
-
-def _readers() -> dict[Opcode, Any]:
-    from mcap import records
-
-    return {
-        Opcode.HEADER: Header.read,
-        Opcode.SCHEMA: Schema.read,
-        Opcode.CHANNEL: Channel.read,
-        Opcode.METADATA: Metadata.read,
-        Opcode.STATISTICS: Statistics.read,
-        Opcode.CHUNK_INDEX: records.ChunkIndex.read,
-        Opcode.ATTACHMENT_INDEX: records.AttachmentIndex.read,
-        Opcode.METADATA_INDEX: records.MetadataIndex.read,
-    }
-
-
-_READERS = _readers()
+    def _message(self, body: bytes) -> Message:
+        channel, sequence, log_time, publish_time = MESSAGE.unpack_from(body)
+        data = body[MESSAGE.size :]
+        return Message(self._names.number(channel), sequence, log_time, publish_time, data)
 
 
 def _records(raw: bytes) -> Iterator[tuple[int, int, int]]:
     """Walk the content of a chunk as far as it holds whole records: opcode, start and end of the body."""
     position = 0
-    while position + _RECORD.size <= len(raw):
-        opcode, length = _RECORD.unpack_from(raw, position)
-        start = position + _RECORD.size
+    while position + RECORD.size <= len(raw):
+        opcode, length = RECORD.unpack_from(raw, position)
+        start = position + RECORD.size
         position = start + length
-        if position > len(raw) or (opcode == Opcode.MESSAGE and length < _MESSAGE.size) or opcode == 0:
+        if position > len(raw) or (opcode == Opcode.MESSAGE and length < MESSAGE.size) or opcode == 0:
             return
         yield opcode, start, position
-
-
-def _message(body: bytes) -> Message:
-    channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(body)
-    return Message(channel, sequence, log_time, publish_time, body[_MESSAGE.size :])

@@ -11,6 +11,7 @@ import numpy as np
 from labhil.recording.formats.columns import Columns
 from labhil.rig import RigFile
 from labhil.signals import FloatArray, Signal
+from labhil.terminal import printable_name
 
 MOST_NAMES = 40
 """Columns that a message lists."""
@@ -44,7 +45,7 @@ class Sheet:
         names = self.columns.names
         more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
         left_out = f"; {self.columns.left_out}" if self.columns.left_out else ""
-        return f"the columns {', '.join(names[:MOST_NAMES])}{more}{left_out}"
+        return f"the columns {', '.join(map(printable_name, names[:MOST_NAMES]))}{more}{left_out}"
 
     def place(self, row: int) -> str:
         """Where a row stands in its file, for messages."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -121,7 +122,7 @@ def write_import(table: ImportedTable, out: Path) -> Path:
     """Write an imported table as a recording, in place of one that is there; returns its path.
 
     The device bears the name of the rig's kind; the rig file and the counts of what was dropped go with
-    it. The same table always makes the same samples: the host's time is the table's, from 0.
+    it. The same table always makes the same bytes: the host's time is the table's, from 0.
     """
     t_ns = np.rint(table.t * 1e9).astype(np.int64)
     told = {
@@ -134,7 +135,7 @@ def write_import(table: ImportedTable, out: Path) -> Path:
         **{f"outside_limits.{name}": str(count) for name, count in table.outside.items()},
         **{f"note.{number}": note for number, note in enumerate(table.notes)},
     }
-    with RecordingWriter(out) as writer:
+    with RecordingWriter(out, flush_interval=math.inf) as writer:
         try:
             for name, content in rig_attachments(table.rig).items():
                 writer.attach(name, media_type(name), content)
@@ -303,7 +304,8 @@ def _place(sheet: Sheet, name: str, source: Column) -> int:
 
 def _scaled(sheet: Sheet, mapped: Mapped) -> FloatArray:
     raw = np.column_stack([sheet.columns.numbers(column, mapped.signal.hold) for column in mapped.columns])
-    return mapped.in_ours(raw)
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite makes a bad row
+        return mapped.in_ours(raw)
 
 
 def _seconds(sheet: Sheet, row: IntArray, t: FloatArray) -> FloatArray:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from rich.console import Console
-
 from labhil.kinds import kind_named, kind_names
 from labhil.physics.rigs import model_for, rig_model
 from labhil.physics.terms import Term
 from labhil.rig import default_rig
+from labhil.terminal import terminal
 
 
 def terms_by_rig(kind: str | None) -> dict[str, dict[str, Term]]:
@@ -51,12 +50,12 @@ def _term_json(term: Term) -> dict[str, Any]:
 
 def show_catalogue(kind: str | None) -> None:
     """Print the catalogue."""
-    console = Console(highlight=False)
+    console = terminal(highlight=False)
     for rig, terms in terms_by_rig(kind).items():
-        console.print(f"[bold]{rig}[/bold]  baseline: {', '.join(rig_model(rig).baseline)}")
+        console.print(f"[bold]{rig}[/bold]  baseline: {', '.join(rig_model(rig).baseline)}", markup=True)
         for term in terms.values():
-            console.print(f"\n[bold]{term.name}[/bold] ({term.enters.value}): {term.statement}")
-            console.print(f"  {term.equation}   — {term.source}", markup=False)
+            console.print(f"\n[bold]{term.name}[/bold] ({term.enters.value}): {term.statement}", markup=True)
+            console.print(f"  {term.equation}   — {term.source}")
             units = ", ".join(f"{p.name} [{p.unit}]" for p in term.parameters)
             units += "".join(f"; {p.name} = {p.scale:g} [known]" for p in term.known)
-            console.print(f"  {units}; revealed by {term.revealed_by}", markup=False)
+            console.print(f"  {units}; revealed by {term.revealed_by}")

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from labhil.documents import parse_json
 from labhil.errors import ModelFileError
 from labhil.identify.extended import Coordinate
 from labhil.identify.kept_curve import KeptCurve, ModelUnderCurves
@@ -68,7 +68,7 @@ def _stating(curve: KeptCurve) -> dict[str, Any]:
 def _stated(path: Path) -> list[Mapping[str, Any]]:
     """The fields ``curve`` and ``further_curves`` of a file that was found to be a model's elsewhere."""
     try:
-        whole = json.loads(path.read_text(encoding="utf-8"))
+        whole = parse_json(path.read_text(encoding="utf-8"))
         stated = [whole.get("curve"), *(whole.get("further_curves") or ())]
     except (OSError, ValueError, AttributeError, TypeError):
         return []

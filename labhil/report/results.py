@@ -14,6 +14,7 @@ import numpy as np
 from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.answer import Curve, Diagnosis
 from labhil.diagnose.locate import Location
+from labhil.documents import parse_json
 from labhil.errors import ModelFileError
 from labhil.identify.fit import Fit
 from labhil.identify.score import Figures, Score
@@ -356,8 +357,8 @@ def _number(path: Path, name: str, value: Any) -> float | None:
 def _model_in(path: Path) -> Mapping[str, Any]:
     """The part of a result that holds ``terms`` and ``parameters``."""
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        data = parse_json(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
         raise ModelFileError(f"{path}: cannot be read as a model (JSON of `labhil fit`): {error}") from error
     schema = data.get("schema") if isinstance(data, dict) else None
     if schema not in ("labhil.fit/1", "labhil.diagnosis/1"):

@@ -75,7 +75,7 @@ def parameter_table(estimates: Sequence[Estimate], title: str, *, stars: bool = 
             row.key,
             f"{row.value:.5g}",
             _or_dash(row.std_error, ".2g"),
-            NOTHING if math.isnan(row.ci99[0]) else rf"\[{row.ci99[0]:.4g}, {row.ci99[1]:.4g}]",
+            NOTHING if math.isnan(row.ci99[0]) else Text(f"[{row.ci99[0]:.4g}, {row.ci99[1]:.4g}]"),
             _or_dash(row.z, ".1f"),
             NOTHING if math.isnan(row.p_value) else small(row.p_value).removeprefix("= "),
             _mark(row, stars),

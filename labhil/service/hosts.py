@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import signal
 import sys
 from collections.abc import Callable, Mapping
@@ -10,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from labhil import errors
+from labhil.documents import parse_json
 from labhil.errors import BusError, LabhilError, RunStoppedError
 from labhil.service.child import Child
 from labhil.service.messages import HostConfig
@@ -126,7 +126,7 @@ def error_named(name: str, message: str) -> LabhilError:
 
 def _parsed(line: str | None) -> dict[str, Any]:
     try:
-        data = json.loads(line or "{}")
+        data = parse_json(line or "{}")
     except ValueError:
         return {}
     return data if isinstance(data, dict) else {}

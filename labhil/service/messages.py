@@ -9,6 +9,7 @@ from enum import StrEnum
 from typing import Any
 
 from labhil.bus.incoming import SetpointMessage, parse, validate
+from labhil.documents import parse_json
 from labhil.rig import Interlock, Limit
 
 WATCHDOG = 0.22
@@ -76,7 +77,7 @@ class HostConfig:
     @classmethod
     def from_line(cls, line: str) -> HostConfig:
         """Read what :meth:`to_line` wrote; ValueError when that is not what it is."""
-        data = json.loads(line)
+        data = parse_json(line)
         limits = {name: Limit.model_validate(limit) for name, limit in data["limits"].items()}
         return cls(
             str(data["device"]),

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import time
-import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
@@ -12,6 +10,7 @@ from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
 
+from labhil.documents import parse_json, parse_toml
 from labhil.errors import LabhilError
 from labhil.recording.reader import Recording, read_recording
 
@@ -150,7 +149,7 @@ def _kind(path: Path, size: int, _modified_ns: int) -> str | None:
     if size > LARGEST_RESULT:
         return None
     try:
-        return SCHEMAS.get(json.loads(path.read_text(encoding="utf-8")).get("schema"))
+        return SCHEMAS.get(parse_json(path.read_text(encoding="utf-8")).get("schema"))
     except (OSError, ValueError, AttributeError, TypeError):
         return None
 
@@ -172,7 +171,7 @@ def experiments(folder: Path) -> list[ExperimentFile]:
     found = []
     for path, is_packaged in [*own, *packaged]:
         try:
-            data = tomllib.loads(path.read_text(encoding="utf-8"))
+            data = parse_toml(path.read_text(encoding="utf-8"))
         except (OSError, ValueError):
             continue
         section = data.get("experiment")

@@ -13,6 +13,7 @@ from labhil.campaign.reference.result import Reference
 from labhil.campaign.reference.run import Progress, run_reference
 from labhil.campaign.reference.show import show_reference
 from labhil.report.results import write_json
+from labhil.terminal import terminal
 from labhil.whole import whole
 
 WIDTH = 200
@@ -42,7 +43,7 @@ def reference_command(
     if json_path is not None:
         write_json(reference.to_json(), json_path)
     # what was asked for is saved by now, whatever becomes of stdout
-    shown = console or Console()
-    shown = shown if shown.is_terminal else Console(file=shown.file, width=WIDTH)
+    shown = console or terminal()
+    shown = shown if shown.is_terminal else terminal(file=shown.file, width=WIDTH)
     shown.print(show_reference(reference))
     return reference

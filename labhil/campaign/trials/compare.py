@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from labhil.documents import parse_json
 from labhil.errors import UsageError
 
 SCHEMA = "labhil.score/"
@@ -60,7 +60,7 @@ def compared(paths: Sequence[Path]) -> str:
 
 def _read(path: Path) -> Card:
     try:
-        card = json.loads(path.read_text(encoding="utf-8"))
+        card = parse_json(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise UsageError(f"{path}: expected a score card (labhil trial score --json): {error}") from error
     if not isinstance(card, dict) or not str(card.get("schema", "")).startswith(SCHEMA):

@@ -7,7 +7,6 @@ reference text, whose print has two slips).
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from math import pi
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from labhil.documents import DocumentError, parse_toml
 from labhil.errors import RigFileError
 from labhil.kinds import JOINTS
 from labhil.rig import explain
@@ -128,8 +128,8 @@ def load_links(path: Path) -> Links:
 def links_of(text: str, source: str) -> Links:
     """Read the text of a table of links, which stands in ``source``; raises as :func:`load_links`."""
     try:
-        data: dict[str, Any] = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        data: dict[str, Any] = parse_toml(text)
+    except DocumentError as error:
         raise RigFileError(f"{source}: not TOML: {error}") from error
     try:
         return Links.of(LinksFile.model_validate(data).joint)

@@ -35,16 +35,16 @@ _STEP = re.compile(r"\[([^\[\]]+)\]|\.?([^.\[\]]+)")
 
 @dataclass(frozen=True)
 class BagColumns(Columns):
-    """Columns of a bag, at the times of the messages of ``base``.
+    """Columns of a bag, at the times of the messages of ``base``, the first of its ``sources``.
 
-    ``places`` says of each column which source it stands in (None: not read) and the way there; ``numbered``
-    which column a place in an array of named elements is, by its plain name; ``refused`` why one is none.
+    ``places`` says of each column in which of the sources it stands (None: not read) and the way there;
+    ``numbered`` which column a place in an array of named elements is, by its plain name; ``refused`` why
+    one is none.
     """
 
     path: Path
-    places: tuple[tuple[Source | None, Way], ...]
-    base: Source
-    others: tuple[Source, ...]
+    places: tuple[tuple[int | None, Way], ...]
+    sources: tuple[Source, ...]
     numbered: Mapping[str, int]
     refused: Mapping[str, str]
     used: set[str] = field(default_factory=set)
@@ -52,12 +52,17 @@ class BagColumns(Columns):
     row_word = "message"
 
     @property
+    def base(self) -> Source:
+        """The messages that give the rows."""
+        return self.sources[0]
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """Which messages give the rows and which clock the time, and what was taken from others."""
         clock = "the stamps in their headers" if self._stamped else "the times at which the bag received them"
         beside = tuple(
             f"{len(other.rows)} messages of {other.topic} are no rows: they name {_listed(other.names)}"
-            for other in self.others
+            for other in self.sources[1:]
             if other.topic == self.base.topic
         )
         taken = tuple(
@@ -85,15 +90,16 @@ class BagColumns(Columns):
 
         Between two messages of another topic the value goes along the straight line or is held.
         """
-        source, way = self.places[column]
+        place, way = self.places[column]
         if not way:
             return self._times(self.base)
         if way == (RECEIVED,):
             return self.base.received
-        if source is None:
+        if place is None:
             name = (self.names or ())[column]
             raise TableError(f"{self.path}: column {column}: expected a name in [channels], such as {name!r}")
-        if source is self.base:
+        source = self.sources[place]
+        if place == 0:
             return source.values[way]
         names = _with_names(source) if source.topic == self.base.topic else ""
         self.used.add(f"{source.topic}{names}")
@@ -144,10 +150,10 @@ def _read(path: Path, reader: Any, wanted: Sequence[str]) -> BagColumns:
     read = [source for topic in needed for source in sources_of(topic, _messages(reader, topic))]
     base = _base(read, [_plain(name) for name in wanted])
     sources = [base, *(source for source in read if source is not base)]
-    found: dict[str, tuple[Source | None, Way]] = {"t": (None, ()), RECEIVED: (None, (RECEIVED,))}
-    for source in sources:
+    found: dict[str, tuple[int | None, Way]] = {"t": (None, ()), RECEIVED: (None, (RECEIVED,))}
+    for place, source in enumerate(sources):
         for way in source.values:
-            found.setdefault(_name(source.topic, way), (source, way))
+            found.setdefault(_name(source.topic, way), (place, way))
     done = {source.topic for source in sources}
     for topic, way in listed:
         if topic not in done:
@@ -160,8 +166,7 @@ def _read(path: Path, reader: Any, wanted: Sequence[str]) -> BagColumns:
         counts=np.full(len(base.rows), len(names)),
         path=path,
         places=tuple(found.values()),
-        base=base,
-        others=tuple(sources[1:]),
+        sources=tuple(sources),
         numbered={plain: names.index(name) for plain, name in _numbered(sources)},
         refused=dict(_refused(sources)),
     )

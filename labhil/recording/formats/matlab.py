@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from labhil.bounds import ImplausibleError, refuse_claim
 from labhil.errors import TableError
 from labhil.recording.formats.columns import the_package
 from labhil.recording.formats.matlab_objects import advice, objects_in
@@ -46,7 +48,10 @@ def read_mat(path: Path, wanted: Sequence[str] = ()) -> VariableColumns:
         with warnings.catch_warnings():
             # scipy calls every object "None"; objects_in finds them by their own names
             warnings.filterwarnings("ignore", 'Duplicate variable name "None"')
+            refuse_claim("the file", _claimed(path), path.stat().st_size)
             variables: dict[str, Any] = loadmat(path, struct_as_record=False)
+    except (ImplausibleError, MemoryError):
+        raise
     except Exception as error:  # a cut MAT file makes scipy raise almost anything
         raise TableError(f"{path}: expected a MAT file, found one that cannot be read: {error}") from error
     parts = {
@@ -61,10 +66,13 @@ def read_mat(path: Path, wanted: Sequence[str] = ()) -> VariableColumns:
 def read_hdf5(path: Path, wanted: Sequence[str] = ()) -> VariableColumns:
     """Read a MAT file of version 7.3, or any HDF5 file with columns, as :func:`read_mat` does."""
     h5py = the_package("h5py", "h5py", f"{path}: a MAT file of version 7.3 (HDF5)")
+    size = path.stat().st_size
     try:
         with h5py.File(path, "r") as file:
-            reader = _Hdf5(file, lambda dtype: h5py.check_ref_dtype(dtype) is h5py.Reference)
+            reader = _Hdf5(file, lambda dtype: h5py.check_ref_dtype(dtype) is h5py.Reference, size)
             parts = {name: reader.part(name, item) for name, item in file.items() if name[0] != "#"}
+    except ImplausibleError:
+        raise
     except (OSError, RuntimeError, ValueError, KeyError) as error:
         raise TableError(f"{path}: expected an HDF5 file, found one that cannot be read: {error}") from error
     return table_of(path, variables_of(parts), wanted)
@@ -77,6 +85,17 @@ def write_mat(stream: Stream, t: FloatArray, values: FloatArray, out: Path) -> N
     variables = {signal.name: values[:, stream.columns_of(signal.name)] for signal in stream.signals}
     with out.open("wb") as file:
         savemat(file, {"t": t[:, None], **variables}, long_field_names=True, do_compression=True)
+
+
+def _claimed(path: Path) -> int:
+    """Bytes that the variables of a MAT file would take as numbers."""
+    from scipy.io import whosmat
+
+    try:
+        variables = whosmat(path)
+    except TypeError:  # scipy finds no shape for MATLAB's objects: the bounds of the reader's process remain
+        return 0
+    return sum(8 * math.prod(shape) for _, shape, _ in variables)
 
 
 def _part(value: Any) -> Part:
@@ -103,11 +122,16 @@ def _elements(values: Sequence[Any]) -> Part:
 
 
 class _Hdf5:
-    """Takes an HDF5 file apart; ``references`` says whether a dataset's elements point to others."""
+    """Takes an HDF5 file of ``size`` bytes apart.
 
-    def __init__(self, file: Any, references: Callable[[Any], bool]) -> None:
+    ``references`` says whether a dataset's elements point to others.
+    """
+
+    def __init__(self, file: Any, references: Callable[[Any], bool], size: int) -> None:
         self._file = file
         self._references = references
+        self._size = size
+        self._claimed = 0
         self._left = MOST_PARTS_IN_ALL
 
     def part(self, name: str, item: Any) -> Part:
@@ -126,16 +150,22 @@ class _Hdf5:
         if "MATLAB_empty" in item.attrs or not item.shape or not item.size:
             return Part(reason="empty")
         if self._references(item.dtype):
-            inner = item[()].ravel()[: MOST_PARTS + 1]
+            inner = self._values(name, item).ravel()[: MOST_PARTS + 1]
             parts = [self.part(name, self._file[one]) if one else Part(reason="empty") for one in inner]
             return Part(elements=parts, braces="{}" if kind == "cell" else "()")
         if item.dtype.kind not in NUMBERS or kind in IN_WORDS:
-            text = "".join(map(chr, item[()].ravel()[:MOST_TEXT])) if kind == "char" else ""
+            text = "".join(map(chr, self._values(name, item).ravel()[:MOST_TEXT])) if kind == "char" else ""
             return Part(reason=IN_WORDS.get(kind, f"HDF5's {item.dtype}"), text=text)
-        value = np.asarray(item[()], dtype=np.float64)
+        value = np.asarray(self._values(name, item), dtype=np.float64)
         # MATLAB writes its columns as HDF5's rows
         turned = value.T if kind or value.ndim > 2 else value
         return Part(array=turned[:, None] if turned.ndim == 1 else turned)
+
+    def _values(self, name: str, item: Any) -> Any:
+        """Read a dataset; ImplausibleError where all those read claim more than the file can hold."""
+        self._claimed += 8 * math.prod(item.shape)
+        refuse_claim(f"the dataset {name!r}", self._claimed, self._size)
+        return item[()]
 
 
 def _struct(fields: Mapping[str, Part]) -> Part:

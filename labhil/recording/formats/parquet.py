@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from labhil.bounds import ImplausibleError, refuse_claim
 from labhil.errors import TableError
 from labhil.recording.formats.columns import NumberColumns, number_columns, number_of, the_package
 from labhil.signals import FloatArray, Stream
@@ -20,7 +21,11 @@ def read_parquet(path: Path) -> NumberColumns:
     arrow = the_package("pyarrow", "pyarrow", f"{path}: a Parquet file")
     parquet = the_package("pyarrow.parquet", "pyarrow", f"{path}: a Parquet file")
     try:
-        table = parquet.ParquetFile(path).read()
+        file = parquet.ParquetFile(path)
+        _refuse_claims(file.metadata, path.stat().st_size)
+        table = file.read()
+    except ImplausibleError:
+        raise
     except (arrow.ArrowException, OSError, ValueError) as error:
         raise TableError(
             f"{path}: expected a Parquet file, found one that cannot be read: {error}"
@@ -37,6 +42,12 @@ def read_parquet(path: Path) -> NumberColumns:
     if not names or not len(columns[0]):
         raise TableError(f"{path}: expected columns with rows, found {len(names)} columns and no rows")
     return number_columns(names, columns, texts)
+
+
+def _refuse_claims(metadata: Any, size: int) -> None:
+    """ImplausibleError where the row groups claim more than a file of ``size`` bytes can hold."""
+    unpacked = sum(metadata.row_group(number).total_byte_size for number in range(metadata.num_row_groups))
+    refuse_claim("the table", max(unpacked, 8 * metadata.num_rows * metadata.num_columns), size)
 
 
 def write_parquet(stream: Stream, t: FloatArray, values: FloatArray, out: Path) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import re
+import zipfile
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from datetime import datetime, time
@@ -14,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from labhil.bounds import ImplausibleError, refuse_claim
 from labhil.errors import TableError, UsageError, suggestion
 from labhil.recording.formats.columns import Columns, cell_text, number_of, read_stamps, the_package
 from labhil.recording.formats.notation import Notation, is_missing
@@ -24,6 +27,10 @@ from labhil.signals import FloatArray, Hold, Stream
 
 LARGEST_SHEET = 1_048_575
 """Rows below the header that a sheet can hold."""
+
+FREE_CELLS = 1 << 20
+SPARSEST = 50
+"""Cells that any sheet may spread over, and cells for each that holds something: no table is emptier."""
 
 
 @dataclass(frozen=True)
@@ -76,10 +83,16 @@ def read_workbook(path: Path, table: Table, wanted: Sequence[str]) -> SheetColum
     """
     openpyxl = the_package("openpyxl", "openpyxl", f"{path}: a workbook (XLSX)")
     try:
+        with zipfile.ZipFile(path) as packed:
+            refuse_claim(
+                "the workbook", sum(part.file_size for part in packed.infolist()), path.stat().st_size
+            )
         with closing(openpyxl.load_workbook(path, read_only=True, data_only=True)) as book:
             cells = _cells(path, book, table)
-    except TableError:
+    except (TableError, MemoryError):
         raise
+    except ImplausibleError as error:
+        raise TableError(f"{path}: {error}") from error
     except Exception as error:  # zipfile, the XML parser and openpyxl each raise their own
         raise TableError(
             f"{path}: expected a workbook (XLSX), found one that cannot be read: {error!r}"
@@ -116,7 +129,7 @@ def write_workbook(stream: Stream, t: FloatArray, values: FloatArray, out: Path)
             "a .parquet or .csv file holds them all"
         )
     book = openpyxl.Workbook(write_only=True)
-    sheet = book.create_sheet(stream.name[:31])
+    sheet = book.create_sheet(re.sub(r"[\\*?:/\[\]]|[^\x20-\ud7ff]", "_", stream.name)[:31])
     sheet.append(["t", *stream.columns()])
     for row in np.column_stack([t, values]).tolist():
         sheet.append([cell if math.isfinite(cell) else None for cell in row])
@@ -135,7 +148,7 @@ def _cells(path: Path, book: Any, table: Table) -> list[tuple[int, list[Any]]]:
     if not hasattr(sheet, "iter_rows"):
         raise TableError(f"{path}: sheet {sheet.title!r}: expected cells, found a chart")
     found = []
-    for number, row in enumerate(sheet.iter_rows(values_only=True), start=1):
+    for number, row in _rows(path, sheet):
         cells = [None if isinstance(cell, str) and not cell.strip() else cell for cell in row]
         while cells and cells[-1] is None:
             cells.pop()
@@ -143,6 +156,39 @@ def _cells(path: Path, book: Any, table: Table) -> list[tuple[int, list[Any]]]:
         if number > table.skip_rows and cells and not commented:
             found.append((number, cells))
     return found
+
+
+def _rows(path: Path, sheet: Any) -> Iterator[tuple[int, list[Any]]]:
+    """The rows that a sheet stores, with their numbers from 1, each up to its last cell that holds something.
+
+    openpyxl's own rows run over all cells up to the last one that is stored anywhere, 17 billion of them
+    where one is stored in the last row and column. TableError when the cells up to the last ones are many
+    more than hold something.
+    """
+    from openpyxl.worksheet._reader import WorkSheetParser
+
+    book = sheet.parent
+    stored = made = 0
+    with sheet._get_source() as source:
+        parser = WorkSheetParser(
+            source,
+            sheet._shared_strings,
+            data_only=True,
+            epoch=book.epoch,
+            date_formats=book._date_formats,
+            timedelta_formats=book._timedelta_formats,
+        )
+        for number, cells in parser.parse():
+            filled = {cell["column"]: cell["value"] for cell in cells if cell["value"] not in (None, "")}
+            width = max(filled, default=0)
+            stored, made = stored + len(filled), made + width
+            if made > FREE_CELLS + SPARSEST * stored:
+                raise TableError(
+                    f"{path}: sheet {sheet.title!r}: expected a table, found {stored} cells that hold "
+                    f"something, spread over {made}; the last of row {number} is in column {width}"
+                )
+            if 0 < number <= LARGEST_SHEET + 1:
+                yield number, [filled.get(column) for column in range(1, width + 1)]
 
 
 def _has_header(cells: Sequence[Any], table: Table, wanted: Sequence[str]) -> bool:

@@ -137,11 +137,12 @@ def _signals(data: StreamData, album: Album) -> Section | None:
 
 def _signal_rows(data: StreamData, name: str) -> Iterator[list[Content]]:
     signal = next(s for s in data.stream.signals if s.name == name)
-    columns = data[name].reshape(len(data), -1)
+    columns = data.values[:, data.stream.columns_of(name)]
     for column, title in enumerate(signal.columns()):
         values = columns[:, column]
         values = values[np.isfinite(values)]
-        told = [float(f(values)) if len(values) else None for f in (np.min, np.max, np.mean, np.std)]
+        with np.errstate(over="ignore", invalid="ignore"):  # of the largest doubles; shown as no number
+            told = [float(f(values)) if len(values) else None for f in (np.min, np.max, np.mean, np.std)]
         yield [
             tag("code", title),
             signal.direction.value,

@@ -6,11 +6,11 @@ of a result with more in it.
 
 from __future__ import annotations
 
-import json
 from typing import Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from labhil.documents import parse_json
 from labhil.errors import ModelFileError
 from labhil.physics.terms import keyed
 from labhil.report.verdicts import fit_verdict
@@ -398,8 +398,8 @@ def checked(kind: type[Result], data: Any, origin: str) -> Result:
 def json_of(text: bytes, origin: str) -> Any:
     """Parsed JSON with None for NaN and infinities; ModelFileError when it is none."""
     try:
-        return json.loads(text.decode("utf-8"), parse_constant=lambda name: None)
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        return parse_json(text.decode("utf-8"), constant=lambda name: None)
+    except ValueError as error:
         raise ModelFileError(
             f"{origin}: expected a recording (MCAP) or the JSON of `labhil fit` or `labhil diagnose`: {error}"
         ) from error

@@ -33,12 +33,17 @@ def timing_picture(album: Album, data: StreamData) -> Markup:
     return album.picture(caption, lambda: _draw_timing(data))
 
 
+LARGEST_DRAWN = 1e150
+"""Larger values are left out of a picture: the length of an axis has to be squared."""
+
+
 def _draw_signal(data: StreamData, signal: Signal) -> Figure:
     figure, axes = _strip(2.3 if signal.direction is Direction.OUTPUT else 1.9, legend=signal.width > 1)
-    values = data[signal.name].reshape(len(data), -1)
+    values = data.values[:, data.stream.columns_of(signal.name)]
     steps = "steps-post" if signal.hold is Hold.ZERO else "default"
     for column, name in enumerate(signal.columns()):
         t, drawn = envelope(data.t, values[:, column], data.seq)
+        drawn = np.where(np.abs(drawn) > LARGEST_DRAWN, np.nan, drawn)
         if not np.isfinite(drawn).any():
             continue
         colour = COLOURS[column % len(COLOURS)]

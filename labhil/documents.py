@@ -1,0 +1,65 @@
+"""JSON and TOML from outside, read so that every text that cannot be used is one kind of error.
+
+The parsers of the standard library recurse: a few kilobytes of brackets end them with a RecursionError, and
+a number of thousands of digits with a plain ValueError. Here all of that is a DocumentError.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Callable
+from typing import Any
+
+DEEPEST = 64
+"""Levels of tables and lists within one another. Our own files have at most 8, and Python's parsers and
+whatever walks their result by recursion hold out to some hundreds."""
+
+
+class DocumentError(ValueError):
+    """A text that is no JSON or TOML, or nested too deeply."""
+
+
+def parse_json(text: str | bytes, *, constant: Callable[[str], Any] | None = None) -> Any:
+    """Return what a JSON text holds.
+
+    Args:
+        text: The text, or its bytes in UTF-8.
+        constant: What to make of ``NaN``, ``Infinity`` and ``-Infinity``; the numbers when absent.
+
+    Raises:
+        DocumentError: The text is no JSON, no UTF-8, or nested deeper than ``DEEPEST``.
+    """
+    try:
+        data = json.loads(text, parse_constant=constant)
+    except ValueError as error:
+        raise DocumentError(str(error)) from error
+    except RecursionError:
+        raise DocumentError(_too_deep()) from None
+    return _not_too_deep(data)
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Return the tables of a TOML text; DocumentError when it is none, or nested deeper than ``DEEPEST``."""
+    try:
+        data = tomllib.loads(text)
+    except ValueError as error:
+        raise DocumentError(str(error)) from error
+    except RecursionError:
+        raise DocumentError(_too_deep()) from None
+    _not_too_deep(data)
+    return data
+
+
+def _too_deep() -> str:
+    return f"expected at most {DEEPEST} levels of lists and tables within one another, found more"
+
+
+def _not_too_deep(data: Any) -> Any:
+    level = [data]
+    for _ in range(DEEPEST + 1):
+        nested = [item for item in level if isinstance(item, (dict, list))]
+        if not nested:
+            return data
+        level = [inner for item in nested for inner in (item.values() if isinstance(item, dict) else item)]
+    raise DocumentError(_too_deep())

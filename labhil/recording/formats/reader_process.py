@@ -1,0 +1,100 @@
+"""The process that reads others' formats: a request a line on stdin, answers as bytes on stdout.
+
+Started by :mod:`labhil.recording.formats.apart`. Each request sets bounds on memory and processor time.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import select
+import sys
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from labhil.bounds import ImplausibleError
+from labhil.errors import LabhilError
+from labhil.recording.formats.bag import read_bag
+from labhil.recording.formats.columns import Columns
+from labhil.recording.formats.matlab import read_hdf5, read_mat
+from labhil.recording.formats.parquet import read_parquet
+from labhil.recording.formats.transfer import pack
+from labhil.recording.formats.workbook import read_workbook
+from labhil.rig import Table
+
+IDLE_SECONDS = 60.0
+"""Without a request for that long the process ends; the next one costs half a second to start."""
+
+READERS: dict[str, Callable[[Path, Table, Sequence[str]], Columns]] = {
+    "mat": lambda path, table, wanted: read_mat(path, wanted),
+    "hdf5": lambda path, table, wanted: read_hdf5(path, wanted),
+    "parquet": lambda path, table, wanted: read_parquet(path),
+    "workbook": read_workbook,
+    "bag": lambda path, table, wanted: read_bag(path, wanted),
+}
+
+
+def main() -> None:
+    """Read files until there are no more."""
+    warnings.simplefilter("ignore")
+    # what a library prints must not get between the answers
+    answers = os.fdopen(os.dup(1), "wb")
+    quiet = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(quiet, 1)
+    _write(answers, b"\n")
+    while select.select([sys.stdin], [], [], IDLE_SECONDS)[0]:
+        line = sys.stdin.buffer.readline()
+        if not line:
+            return
+        _write(answers, pack(_answer(json.loads(line))))
+
+
+def _answer(request: dict[str, Any]) -> dict[str, Any]:
+    path = Path(request["path"])
+    try:
+        os.chdir(request["folder"])
+        _bound(request["cpu_seconds"], request["memory"])
+        table = Table.model_validate(request["table"])
+        return {"columns": READERS[request["kind"]](path, table, request["wanted"])}
+    except LabhilError as error:
+        return {"error": type(error).__name__, "text": str(error)}
+    except ImplausibleError as error:
+        return {"error": "TableError", "text": f"{path}: {error}"}
+    except MemoryError:
+        return {
+            "error": "TableError",
+            "text": f"{path}: cannot be read: it needs more than the {request['memory'] >> 20} MB of memory "
+            "that a file of its size may take",
+        }
+    except Exception as error:  # noqa: BLE001 - each library raises its own on a damaged file
+        return {"error": "TableError", "text": f"{path}: cannot be read: {error!r:.500}"}
+
+
+def _bound(cpu_seconds: float, memory: int) -> None:
+    """Bound what the next file may take, beyond what the process has taken already."""
+    try:
+        import resource
+    except ImportError:  # not a POSIX system
+        return
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    hard = resource.getrlimit(resource.RLIMIT_CPU)[1]
+    resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(time.process_time() + cpu_seconds), hard))
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+    except (OSError, ValueError):
+        return
+    hard = resource.getrlimit(resource.RLIMIT_AS)[1]
+    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + memory, hard))
+
+
+def _write(answers: BinaryIO, data: bytes) -> None:
+    answers.write(data)
+    answers.flush()
+
+
+if __name__ == "__main__":
+    main()
