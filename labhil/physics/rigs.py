@@ -174,7 +174,9 @@ def record_of(recording: Recording, kind: RigKind) -> Record:
             raise RecordingError(
                 f"{recording.path}: expected samples in {stream.device}/{stream.stream.name}, found 0"
             )
-        _refuse_extreme(recording, record)
+        unusable = unusable_values(record)
+        if unusable:
+            raise RecordingError(f"{recording.path}: {unusable}")
         return replace(record, begins=(Begin(clock_faults=stream.clock_faults),))
     raise RecordingError(f"{recording.path}: {_needed(kind)}; found {recording.described()}")
 
@@ -222,23 +224,23 @@ def _devices_of(recording: Recording, kind: RigKind) -> list[str]:
     return list(dict.fromkeys(matching))
 
 
-def _refuse_extreme(recording: Recording, record: Record) -> None:
-    """RecordingError for values that no model can calculate with."""
+def unusable_values(record: Record) -> str:
+    """Why no model can calculate with the values of a record; empty where one can."""
     names = (*record.input_names, *record.output_names, *record.auxiliary)
     columns = (*record.inputs.T, *record.outputs.T, *record.auxiliary.values())
     for name, values in zip(names, columns, strict=True):
         sizes = np.where(np.isfinite(values), np.abs(values), 0.0)
         huge = np.flatnonzero(sizes > LARGEST_VALUE)
         if len(huge):
-            raise RecordingError(
-                f"{recording.path}: {name}: expected values within ±{LARGEST_VALUE:g}, found "
+            return (
+                f"{name}: expected values within ±{LARGEST_VALUE:g}, found "
                 f"{values[huge[0]]:g} at {record.t[huge[0]]:g} s, and {len(huge) - 1} more"
             )
         if 0.0 < sizes.max(initial=0.0) < SMALLEST_VALUE:
-            raise RecordingError(
-                f"{recording.path}: {name}: expected values beyond ±{SMALLEST_VALUE:g} or 0, "
-                f"found none beyond ±{sizes.max():g}"
+            return (
+                f"{name}: expected values beyond ±{SMALLEST_VALUE:g} or 0, found none beyond ±{sizes.max():g}"
             )
+    return ""
 
 
 def _needed(kind: RigKind) -> str:

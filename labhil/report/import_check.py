@@ -9,7 +9,7 @@ from labhil.diagnose.hold import evident_hold
 from labhil.diagnose.timing import all_faults, better_hold
 from labhil.identify.windows import FEWEST_SAMPLES, with_least_noise
 from labhil.physics.model import Record
-from labhil.physics.rigs import model_for, record_of_samples
+from labhil.physics.rigs import model_for, record_of_samples, unusable_values
 from labhil.recording.tables import ImportedTable
 from labhil.signals import Hold
 
@@ -26,6 +26,9 @@ def checked(
     record = record_of_samples(table.stream, table.t, table.values, table.rig.kind)
     if record is None or len(record) < FEWEST_SAMPLES:
         return table, []
+    unusable = unusable_values(record)
+    if unusable:
+        return table, [f"! {unusable}; no model can calculate with them"]
     table, record, lines = _with_holds(table, record, progress)
     record = with_least_noise(record)
     model = model_for(table.rig, record)

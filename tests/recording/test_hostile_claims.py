@@ -25,6 +25,7 @@ from labhil.recording.formats import apart
 from labhil.recording.recover import recover
 from labhil.recording.tables import import_table
 from labhil.report.html.report import report_page
+from labhil.report.import_check import checked
 from labhil.rig import Table, parse_rig
 from labhil.signals import Direction, Signal, Stream
 from labhil.terminal import printable, printable_json, printable_name, terminal
@@ -106,6 +107,16 @@ def test_values_that_no_model_can_calculate_with_are_refused_and_have_a_page(tmp
     with pytest.raises(RecordingError, match="expected values"):
         record_of(read_recording(path), TABLE_RIG.kind)
     assert report_page(path)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("factor", [1e305, 1e-200])
+def test_an_import_of_such_values_names_them_and_calculates_nothing(tmp_path, factor):
+    rows = "".join(f"{k / 100},{factor * (k % 7 + 1)},{factor * (k % 5 - 9)}\n" for k in range(ROWS))
+    (tmp_path / "a.csv").write_text("t,servo_angle,ball_position\n" + rows)
+    table, lines = checked(import_table(tmp_path / "a.csv", TABLE_RIG))
+    assert len(table) == ROWS
+    assert len(lines) == 1 and "servo_angle: expected values" in lines[0]
 
 
 def sheet(path, stray=()):

@@ -1,12 +1,14 @@
 """What is written is what is read, by us and by others, also where the writer did not get to its end."""
 
 import json
+import math
 import os
 import resource
 import shutil
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +36,16 @@ def record(path, count=1000, **metadata):
             writer.write(channel, batch(first, 100))
         writer.event("bench", START_NS + 50 * STEP_NS, {"text": "half way"})
     return path
+
+
+def test_without_flushes_the_clock_has_no_say_in_the_bytes(tmp_path):
+    for name, pause in (("quick.mcap", 0.0), ("slow.mcap", 0.3)):
+        with RecordingWriter(tmp_path / name, flush_interval=math.inf) as writer:
+            channel = writer.add_stream("bench", STATE)
+            writer.write(channel, batch(0, 100))
+            time.sleep(pause)
+            writer.write(channel, batch(100, 100))
+    assert (tmp_path / "quick.mcap").read_bytes() == (tmp_path / "slow.mcap").read_bytes()
 
 
 def test_what_is_written_is_read(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -265,10 +266,10 @@ def test_only_who_has_the_key_commands(bench: Any) -> None:
 
 def test_the_key_is_this_users_alone_and_gone_with_its_session() -> None:
     with open_bus() as bus, open_bus(bus.endpoint) as joined:
-        files = list(register.runtime_directory().glob("*.key"))
+        files = list(register.runtime_directory().glob(f"{os.getpid()}-*.key"))
         assert len(files) == 2 and all(file.stat().st_mode & 0o077 == 0 for file in files)
         assert bus.keys == joined.keys
-    assert not list(register.runtime_directory().glob("*.key"))
+    assert not list(register.runtime_directory().glob(f"{os.getpid()}-*.key"))
 
 
 def test_numbers_come_once_in_any_order_and_not_from_before() -> None:

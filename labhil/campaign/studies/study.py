@@ -130,13 +130,12 @@ def _export(path: Path) -> Path:
 
 
 def _verify(task: Task) -> dict[str, Any]:
-    from rich.console import Console
-
     from labhil.report.verification import show_verification, verify_study
+    from labhil.terminal import terminal
 
     assert task.model is not None
     result = verify_study(task.recordings[0], task.model, None, alpha=1e-3, progress=progress)
-    console = Console(width=100, record=True, file=open(os.devnull, "w"))  # noqa: PTH123, SIM115
+    console = terminal(width=100, record=True, file=open(os.devnull, "w"))  # noqa: PTH123, SIM115
     show_verification(result.verification, console)
     text = "\n".join([*result.losses, console.export_text()])
     return {"done": text, "consistent": result.verification.consistent}
