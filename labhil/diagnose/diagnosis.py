@@ -22,6 +22,7 @@ from labhil.diagnose.judge import NEEDED_BIC, Data
 from labhil.diagnose.load import with_load
 from labhil.diagnose.rest import left_by, unexplained
 from labhil.diagnose.search import onward, search
+from labhil.diagnose.structures.search import search_structures
 from labhil.diagnose.unmodelled import Unmodelled
 from labhil.diagnose.wider import adds_beyond_doubt, goes_elsewhere, searched_and_kept
 from labhil.identify.fitted import Fitted, climb, start_theta
@@ -37,6 +38,8 @@ from labhil.signals import FloatArray
 SEARCH_WINDOW_IN_HORIZONS = 0.375
 FIRST_WINDOW_IN_HORIZONS = 0.1875
 FALSE_ALARM = 5e-4
+SEARCH, EVIDENCE = "search", "evidence"
+METHODS = {SEARCH: search, EVIDENCE: search_structures}
 SHOWN = 1.1
 """RMSE over the noise floor, on held-out data, that asks for a wider search."""
 
@@ -55,6 +58,7 @@ def diagnose(
     accepted: Accepted | None = None,
     measured: Record | None = None,
     progress: Callable[[str], None] = lambda text: None,
+    method: str = SEARCH,
 ) -> Diagnosis:
     """Find what ``baseline`` lacks on ``searched``, judged on ``held_out``.
 
@@ -78,7 +82,9 @@ def diagnose(
     if not _excited(searched, sigma):
         reason = "neither input nor output moves beyond the noise"
         return _unsearched(data, base, "not_decidable", reason, faults, heldout_is_test, began)
-    look = partial(_found, terms=terms, reference=reference, accepted=accepted, progress=progress)
+    look = partial(
+        _found, terms=terms, reference=reference, accepted=accepted, progress=progress, method=method
+    )
     end = concluded(*_looked_wider(data, look(data, base), look, progress), progress)
     found, curves, told, claimed = end.found, end.curves, strongest(end.curves), end.doubts
     final = _rows(found, curves)
@@ -125,15 +131,17 @@ def _found(
     reference: Mapping[str, float] | None,
     accepted: Accepted | None,
     progress: Callable[[str], None],
+    method: str,
 ) -> Found:
     """Search once; with values of the user's own sizes, once more with these held."""
-    found = with_load(data, search(data, base, progress), accepted)
+    look = METHODS[method]
+    found = with_load(data, look(data, base, progress), accepted)
     sizes = _sizes(data.model, reference) if reference is not None and not found.errors else frozenset()
     if not sizes:
         return found
     progress("the same with the sizes of the given model held")
     held = replace(data, held=sizes)
-    return _simpler(found, search(held, fit_baseline(held, terms), progress))
+    return _simpler(found, look(held, fit_baseline(held, terms), progress))
 
 
 def _looked_wider(
