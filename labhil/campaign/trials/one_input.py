@@ -168,9 +168,13 @@ class OneInputSetup:
         term = str(random.choice([name for name in CARRIERS if name in effects_of(self.kind)]))
         defaults = self._world.parameters_of(term)
         drawn = {name: drawn_size(name, value, random) for name, value in defaults.items()}
-        level, usual = (abs(each[f"{dry.term}.level"]) for each in (dry.parameters, self._world.parameters_of(dry.term)))
-        by_level = {name: value * level / usual for name, value in drawn.items() if not name.endswith(".spread")}
-        return Drawn(term, drawn | by_level, {name: 0 for name in drawn}, dry.target)
+        level, usual = (
+            abs(each[f"{dry.term}.level"]) for each in (dry.parameters, self._world.parameters_of(dry.term))
+        )
+        by_level = {
+            name: value * level / usual for name, value in drawn.items() if not name.endswith(".spread")
+        }
+        return Drawn(term, drawn | by_level, dict.fromkeys(drawn, 0), dry.target)
 
     def numbers(self, secret: Secret) -> Mapping[str, float]:
         """Every number of the plant, its defaults included."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import comb, log
 
 import numpy as np
@@ -16,34 +16,48 @@ from labhil.signals import FloatArray
 Structure = frozenset[str]
 """Keys of the terms beside the baseline."""
 
-WIDTH = 40
-"""Structures of each size that are extended."""
+Choice = tuple[Variant, ...]
+"""A structure with the way in which each of its terms acts."""
 
-KEPT_VARIANTS = 2
-"""Ways of a term to act that larger structures try."""
 
-MOST_TERMS = 24
+@dataclass(frozen=True, slots=True)
+class BeamOptions:
+    """How far the enumeration goes.
+
+    Attributes:
+        width: structures of each size that are extended by one more term.
+        variants: ways of a term to act that larger structures try, the best ones by themselves.
+        most_terms: size at which the search ends in any case.
+        hopeless: nats behind the best structure at which a size is not extended any more.
+    """
+
+    width: int = 40
+    variants: int = 2
+    most_terms: int = 24
+    hopeless: float = 30.0
 
 
 @dataclass(frozen=True, slots=True)
 class Predicted:
-    """A structure with its log evidence as one linearisation predicts it, and the sizes of its terms by key."""
+    """A structure with its log evidence as one linearisation predicts it, and values by parameter key."""
 
     structure: Structure
     log_evidence: float
     values: Mapping[str, float]
+    choice: Choice = ()
 
 
-def closed(model: Model, structure: Iterable[str], baseline: frozenset[str]) -> Structure:
-    """A structure with the terms that its terms build on."""
-    terms = frozenset(structure)
-    return frozenset({*terms, *(t for term in terms for t in model.terms[term].with_terms)}) - baseline
+def closed(model: Model, terms: Iterable[str], baseline: frozenset[str]) -> Structure:
+    """Return a structure with the terms that its terms build on, but for those of the baseline."""
+    chosen = frozenset(terms)
+    return frozenset({*chosen, *(t for term in chosen for t in model.terms[term].with_terms)}) - baseline
 
 
 def log_prior(model: Model, structure: Structure, candidates: int) -> float:
-    """Prior of a structure: every number of terms half as likely as one less, all of one number alike.
+    """Return the log prior of a structure.
 
-    What others build on comes with them and is not counted (Chen and Chen 2008 for the multiplicity).
+    Every number of terms is half as likely as one less, and all structures of one number are alike (Chen and
+    Chen 2008, extended BIC with γ = 1). What others build on comes with them and is not counted.
     """
     carried = {t for term in structure for t in model.terms[term].with_terms}
     count = len(structure - carried)
@@ -58,9 +72,10 @@ class Enumeration:
     responses: Responses
     baseline: frozenset[str]
     candidates: int
+    options: BeamOptions = field(default_factory=BeamOptions)
 
-    def evaluate(self, choices: Sequence[tuple[Variant, ...]]) -> list[Predicted]:
-        """Log evidence, prior included, of structures that are given by the variants of their terms."""
+    def evaluate(self, choices: Sequence[Choice]) -> list[Predicted]:
+        """Return each structure with its log evidence, prior included, in the order given."""
         found: list[Predicted | None] = [None] * len(choices)
         widths = [sum(len(v.keys) for v in choice) for choice in choices]
         for width in sorted(set(widths)):
@@ -70,69 +85,73 @@ class Enumeration:
                 found[i] = self._predicted(choices[i], float(value), own)
         return [each for each in found if each is not None]
 
-    def _predicted(self, choice: tuple[Variant, ...], value: float, sizes: FloatArray) -> Predicted:
-        structure = frozenset(v.term for v in choice)
-        ways = sum(log(len(self.responses.variants[v.term])) for v in choice)
-        prior = log_prior(self.model, structure, self.candidates)
-        return Predicted(structure, value + prior - ways, self.responses.sizes(choice, sizes))
-
     def best(self) -> dict[Structure, Predicted]:
-        """The best variant of every structure that the beam reaches, the empty one included."""
-        variants = self.responses.variants
-        single = {term: [(v,) for v in of] for term, of in variants.items()}
-        flat = [choice for of in single.values() for choice in of]
-        alone = self.evaluate(flat)
-        order: dict[str, list[Variant]] = {}
-        for predicted, (variant,) in sorted(zip(alone, flat, strict=True), key=lambda pair: -pair[0].log_evidence):
-            of = order.setdefault(variant.term, [])
-            if len(of) < KEPT_VARIANTS:
-                of.append(variant)
-        reached: dict[Structure, tuple[Predicted, tuple[Variant, ...]]] = {}
-        nothing = self.evaluate([()])[0]
-        reached[nothing.structure] = (nothing, ())
-        present = [t for t in self.responses.fitted.terms if t not in self.baseline and t in variants]
-        seeds: list[tuple[Variant, ...]] = [(), tuple(variants[t][0] for t in present)]
-        seeds += [tuple(variants[t][0] for t in present if t != left) for left in present]
-        beam = list({_key(seed): seed for seed in seeds if self._is_closed(seed)}.values())
-        for predicted, choice in zip(self.evaluate(beam), beam, strict=True):
-            reached.setdefault(predicted.structure, (predicted, choice))
-        for _ in range(MOST_TERMS):
+        """Return the best way of every structure that the beam reaches, the empty one included."""
+        order = self._best_variants()
+        reached = dict[Structure, Predicted]()
+        beam = self._seeds()
+        self._note(reached, self.evaluate(beam))
+        for _ in range(self.options.most_terms):
             extended = self._extended(beam, order, reached)
             if not extended:
                 break
-            pairs = sorted(zip(self.evaluate(extended), extended, strict=True), key=lambda p: -p[0].log_evidence)
-            beam, structures = [], set[Structure]()
-            top = max(p.log_evidence for p, _ in reached.values())
-            for predicted, choice in pairs:
-                known = reached.get(predicted.structure)
-                if known is None or predicted.log_evidence > known[0].log_evidence:
-                    reached[predicted.structure] = (predicted, choice)
-                if predicted.structure not in structures and len(beam) < WIDTH:
-                    structures.add(predicted.structure)
-                    beam.append(choice)
-            if pairs[0][0].log_evidence < top - 30.0:
+            ranked = sorted(self.evaluate(extended), key=lambda p: -p.log_evidence)
+            top = max(p.log_evidence for p in reached.values())
+            self._note(reached, ranked)
+            if ranked[0].log_evidence < top - self.options.hopeless:
                 break
-        return {structure: predicted for structure, (predicted, _) in reached.items()}
+            first = {p.structure: p.choice for p in reversed(ranked)}
+            beam = [first[s] for s in dict.fromkeys(p.structure for p in ranked)][: self.options.width]
+        return reached
 
-    def _is_closed(self, choice: tuple[Variant, ...]) -> bool:
+    def _predicted(self, choice: Choice, value: float, sizes: FloatArray) -> Predicted:
+        structure = frozenset(v.term for v in choice)
+        ways = sum(log(len(self.responses.variants[v.term])) for v in choice)
+        prior = log_prior(self.model, structure, self.candidates)
+        return Predicted(structure, value + prior - ways, self.responses.sizes(choice, sizes), choice)
+
+    @staticmethod
+    def _note(reached: dict[Structure, Predicted], found: Iterable[Predicted]) -> None:
+        """Keep the better of two ways of the same structure."""
+        for predicted in found:
+            known = reached.get(predicted.structure)
+            if known is None or predicted.log_evidence > known.log_evidence:
+                reached[predicted.structure] = predicted
+
+    def _best_variants(self) -> dict[str, list[Variant]]:
+        """The ways of each term to act that explain most by themselves, best first."""
+        order = dict[str, list[Variant]]()
+        flat = [(variant,) for of in self.responses.variants.values() for variant in of]
+        for predicted in sorted(self.evaluate(flat), key=lambda p: -p.log_evidence):
+            (variant,) = predicted.choice
+            order.setdefault(variant.term, []).append(variant)
+        return {term: of[: self.options.variants] for term, of in order.items()}
+
+    def _seeds(self) -> list[Choice]:
+        """Nothing, the structure of the fit, and that less one term."""
+        variants = self.responses.variants
+        present = [t for t in self.responses.fitted.terms if t not in self.baseline and t in variants]
+        whole = tuple(variants[t][0] for t in present)
+        seeds = [(), whole, *(tuple(v for v in whole if v.term != left) for left in present)]
+        return list({_key(seed): seed for seed in seeds if self._is_closed(seed)}.values())
+
+    def _is_closed(self, choice: Choice) -> bool:
         terms = frozenset(v.term for v in choice)
         return closed(self.model, terms, self.baseline) == terms
 
     def _extended(
         self,
-        beam: Sequence[tuple[Variant, ...]],
+        beam: Sequence[Choice],
         order: Mapping[str, Sequence[Variant]],
         reached: Mapping[Structure, object],
-    ) -> list[tuple[Variant, ...]]:
+    ) -> list[Choice]:
         """Each structure of the beam with one more term, and what that builds on."""
-        found = dict[frozenset[tuple[str, int]], tuple[Variant, ...]]()
+        found = dict[frozenset[tuple[str, int]], Choice]()
         for choice in beam:
             terms = frozenset(v.term for v in choice)
             for term, ways in order.items():
-                if term in terms:
-                    continue
                 carried = [t for t in self.model.terms[term].with_terms if t not in terms | self.baseline]
-                if any(t not in order for t in carried):
+                if term in terms or any(t not in order for t in carried):
                     continue
                 for way in ways:
                     longer = (*choice, *(order[t][0] for t in carried), way)
@@ -141,13 +160,18 @@ class Enumeration:
         return list(found.values())
 
 
-def _key(choice: tuple[Variant, ...]) -> frozenset[tuple[str, int]]:
+def _key(choice: Choice) -> frozenset[tuple[str, int]]:
     return frozenset((v.term, v.first) for v in choice)
 
 
-def _batch(choices: Sequence[tuple[Variant, ...]], width: int) -> Batch:
-    columns = np.array([[c for v in choice for c in v.places] for choice in choices], dtype=np.int64)
-    block = np.array([[b for b, v in enumerate(choice) for _ in v.keys] for choice in choices], dtype=np.int64)
-    positive = np.array([[s for v in choice for s in v.positive] for choice in choices], dtype=bool)
+def _batch(choices: Sequence[Choice], width: int) -> Batch:
+    """Structures of one number of responses, as arrays."""
     shape = (len(choices), width)
-    return Batch(columns.reshape(shape), block.reshape(shape), positive.reshape(shape))
+    columns = [[c for v in choice for c in v.places] for choice in choices]
+    block = [[b for b, v in enumerate(choice) for _ in v.keys] for choice in choices]
+    positive = [[s for v in choice for s in v.positive] for choice in choices]
+    return Batch(
+        np.array(columns, dtype=np.int64).reshape(shape),
+        np.array(block, dtype=np.int64).reshape(shape),
+        np.array(positive, dtype=bool).reshape(shape),
+    )

@@ -4,13 +4,15 @@ Residuals r (simulated − measured, in units of noise, whitened, the windows' s
 
     r = y + B·b + X·x,        e = r + τ·D·a,
 
-with the baseline's responses B (flat prior on b), the responses X of the structure's terms, and a disturbance that is
-smooth in time within each window: D holds cosines whose variance falls as 1/k⁴, as the response of a second-order
-plant to a random force does; a is standard normal, τ is summed out over a grid that includes zero. A term's sizes
-have a unit-information prior (Kass and Wasserman 1995): the response of its block has an RMS of κ noise levels,
-κ on a grid. The noise's scale is unknown. With G = XᵀX and b = Xᵀy, both beside B and under the disturbance,
+with the baseline's responses B (flat prior on b), the responses X of the structure's terms, and a
+disturbance that is smooth in time within each window: D holds cosines whose amplitude falls as 1/k², as the
+response of a second-order plant to a random force does; a is standard normal, τ is summed out over a grid
+that includes zero. A term's sizes have a unit-information prior (Kass and Wasserman 1995): the response of
+its block has an RMS of κ noise levels, κ on a grid. The noise's scale is unknown. With G = XᵀX and b = Xᵀy,
+both beside B and under the disturbance,
 
-    log p(y | S, τ) = −½ log|I + τ²DDᵀ| − ½ log|BᵀB| − ½ log|G + L| + ½ log|L| − ½ν·log(yᵀy − bᵀ(G + L)⁻¹b),
+    log p(y | S, τ) = −½ log|I + τ²DDᵀ| − ½ log|BᵀB| − ½ log|G + L| + ½ log|L|
+                      − ½ν·log(yᵀy − bᵀ(G + L)⁻¹b),
 
 plus log 2Φ(m/s) for each size that cannot be negative (O'Hagan and Forster 2004, ch. 11).
 """
@@ -47,10 +49,10 @@ class Disturbance:
 class Grams:
     """Inner products of target and responses under every τ, the baseline's responses taken out.
 
-    ``seen`` (T, m, m) has the target first and all responses after it; ``raw`` (m, m) is the same without disturbance
-    and before the baseline's responses are taken out: it sizes the prior. ``log_weight`` (T,) are the logarithms of
-    the prior of τ and of what does not depend on the structure. ``samples`` is how many rows there are, ``dof`` how
-    many independent ones are left.
+    ``seen`` (T, m, m) has the target first and all responses after it; ``raw`` (m, m) is the same without
+    disturbance and before the baseline's responses are taken out: it sizes the prior. ``log_weight`` (T,) are
+    the logarithms of the prior of τ and of what does not depend on the structure. ``samples`` is how many
+    rows there are, ``dof`` how many independent ones are left.
     """
 
     seen: FloatArray
@@ -61,17 +63,26 @@ class Grams:
 
 
 def grams(
-    matrix: FloatArray, baseline: int, modes: FloatArray, strength: FloatArray, dof: float, disturbance: Disturbance
+    matrix: FloatArray,
+    baseline: int,
+    modes: FloatArray,
+    strength: FloatArray,
+    dof: float,
+    disturbance: Disturbance,
 ) -> Grams:
     """Inner products for all structures.
 
     Args:
-        matrix: (N, 1 + P + k) target, the baseline's P responses, and all terms' responses, whitened and projected.
+        matrix: (N, 1 + P + k) target, the baseline's P responses, and all terms' responses, whitened, the
+            windows' states projected out.
         baseline: P.
         modes: (K, 1 + P + k) inner products of the disturbance's orthonormal modes with the columns.
         strength: (K,) singular values of the modes.
         dof: independent rows that are left beside the states of windows.
         disturbance: the grid of τ.
+
+    Returns:
+        The products of target and terms' responses with one another, under each τ.
     """
     plain = matrix.T @ matrix
     kept = np.r_[0, np.arange(1 + baseline, matrix.shape[1])]
@@ -86,7 +97,9 @@ def grams(
         across = gram[np.ix_(own, kept)] / scale[:, None]
         seen.append(gram[np.ix_(kept, kept)] - across.T @ np.linalg.solve(inner, across))
         logs.append(
-            np.log(weight) - 0.5 * float(np.sum(np.log1p((tau * strength) ** 2))) - 0.5 * np.linalg.slogdet(inner)[1]
+            np.log(weight)
+            - 0.5 * float(np.sum(np.log1p((tau * strength) ** 2)))
+            - 0.5 * float(np.linalg.slogdet(inner)[1])
             - float(np.sum(np.log(scale)))
         )  # fmt: skip
     return Grams(np.array(seen), plain[np.ix_(kept, kept)], np.array(logs), len(matrix), dof - baseline)
@@ -103,8 +116,8 @@ FIRST_KAPPA = 3.0
 class Batch:
     """Structures with the same number k of responses.
 
-    ``columns`` (S, k) are places in the Gram matrices (0 is the target), ``block`` (S, k) numbers the term that each
-    belongs to, ``positive`` (S, k) marks sizes that cannot be negative.
+    ``columns`` (S, k) are places in the Gram matrices (0 is the target), ``block`` (S, k) numbers the term
+    that each belongs to, ``positive`` (S, k) marks sizes that cannot be negative.
     """
 
     columns: IntArray

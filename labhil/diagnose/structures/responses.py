@@ -1,7 +1,7 @@
 """What each term would change in the residuals of a fit: responses, taken once where the fit stands.
 
-The fit's own added terms are among them, by their local slopes, and their part is taken out of the target: so every
-structure, with or without them, is compared along one trajectory that follows the data.
+The fit's own added terms are among them, by their local slopes, and their part is taken out of the target: so
+every structure, with or without them, is compared along one trajectory that follows the data.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -25,10 +26,11 @@ MODES, CORNER = 12, 2.0
 """Cosines of the disturbance in each window, and the one from which their amplitude falls as 1/k²."""
 
 WANTED, LARGER = 1.5, 4.5
-"""Noise levels of the response by which a size is stepped, and of a second one where it is not proportional."""
+"""Noise levels of the response by which a size is stepped, and of a second step where that is not
+proportional."""
 
 PROPORTIONAL = 0.3
-"""Relative difference of a response from a proportional one from which a term counts as one with a threshold."""
+"""Relative difference from a proportional response from which a term counts as one with a threshold."""
 
 TRIES = 5
 """Simulations that may go into finding the step of one size."""
@@ -38,9 +40,9 @@ TRIES = 5
 class Variant:
     """One way in which a term may act: with one set of shapes, or by steps of one size.
 
-    ``keys`` are the parameters that the responses belong to, from place ``first`` of the Gram matrices on; one unit of
-    a response is ``unit`` of its parameter. ``shape`` marks responses to a change of shape beside the value that it
-    has ``at`` the fit; ``positive`` sizes that cannot be negative.
+    ``keys`` are the parameters that the responses belong to, from place ``first`` of the Gram matrices on;
+    one unit of a response is ``unit`` of its parameter. ``shape`` marks responses to a change of shape beside
+    the value that it has ``at`` the fit; ``positive`` sizes that cannot be negative.
     """
 
     term: str
@@ -122,11 +124,7 @@ def responses(
     own = [problem.model.parameters[i].term for i in problem.free]
     shared = [j for j, term in enumerate(own) if term not in found]
     ways = [_present(problem, fitted, lin, term) for term in found]
-    target = solution.residuals - sum(
-        (c.values * (fitted.theta[index_of(problem.model.parameters)[c.key]] / c.unit) for w in ways for c in w.columns
-         if not c.shape),
-        start=np.zeros_like(solution.residuals),
-    )  # fmt: skip
+    target = solution.residuals - _explained(fitted, ways)
     others = [key for key in data.model.terms if key not in fitted.terms] if absent is None else absent
     mapped = map if executor is None else executor.map
     for each in mapped(lambda key: _absent(problem, fitted, lin, key), others):
@@ -143,12 +141,22 @@ def responses(
     return Responses(fitted, seen, {term: tuple(of) for term, of in placed.items()})
 
 
+def _explained(fitted: Fitted, ways: Sequence[_Way]) -> FloatArray:
+    """What the added terms of a fit explain (N·c,), by their local slopes."""
+    places = index_of(fitted.problem.model.parameters)
+    explained = np.zeros_like(fitted.solution.residuals)
+    for column in (c for way in ways for c in way.columns if not c.shape):
+        explained += column.values * (fitted.theta[places[column.key]] / column.unit)
+    return explained
+
+
 def _present(problem: Problem, fitted: Fitted, lin: Linearised, term: str) -> _Way:
     """A term that the fit has, by its local slopes."""
     parameters = problem.model.parameters
     own = [(j, parameters[i]) for j, i in enumerate(problem.free) if parameters[i].term == term]
     columns = tuple(
-        _Column(p.key, p.scale, p.shape, not p.shape and p.lower == 0.0, lin.by_parameters[:, j]) for j, p in own
+        _Column(p.key, p.scale, p.shape, not p.shape and p.lower == 0.0, lin.by_parameters[:, j])
+        for j, p in own
     )
     places = index_of(parameters)
     at = {p.key: float(fitted.theta[places[p.key]]) for _, p in own if p.shape}
@@ -156,7 +164,7 @@ def _present(problem: Problem, fitted: Fitted, lin: Linearised, term: str) -> _W
 
 
 def _absent(problem: Problem, fitted: Fitted, lin: Linearised, term: str) -> list[_Way]:
-    """A term that the fit does not have: at each set of its shapes, and by several steps where it has a threshold."""
+    """A term that the fit lacks: at each set of its shapes, and by several steps where it has a threshold."""
     described = terms_named(problem.model, [term])[0]
     shapes = [p for p in described.parameters if p.shape]
     sizes = [p for p in described.parameters if not p.shape]
@@ -182,12 +190,17 @@ def _first_step(parameter: Parameter, sets: Sequence[Mapping[str, float]]) -> fl
 
 
 def _stepped(
-    problem: Problem, fitted: Fitted, lin: Linearised, at: Mapping[str, float], parameter: Parameter, step: float
+    problem: Problem,
+    fitted: Fitted,
+    lin: Linearised,
+    at: Mapping[str, float],
+    parameter: Parameter,
+    step: float,
 ) -> list[_Column]:
     """Responses to steps of one size that change the residuals by about as much as noise does.
 
-    One where the response is proportional to the step; else also one to a larger step. None where no step of the
-    allowed ones changes anything.
+    One where the response is proportional to the step; else also one to a larger step. None where no step
+    that is allowed changes anything.
     """
     model, residuals, states = problem.model, fitted.solution.residuals, fitted.solution.point.states
     places = index_of(model.parameters)
@@ -216,7 +229,7 @@ def _stepped(
 def _search_step(
     taken: Callable[[float], tuple[float, FloatArray]], step: float, upper: float
 ) -> dict[float, tuple[float, FloatArray]]:
-    """Steps that were tried, with the RMS of their response and the response per unit; those without one are left out."""
+    """Steps that changed anything, with the RMS of the response and the response per unit."""
     tried = dict[float, tuple[float, FloatArray]]()
     below, above, size = 0.0, np.inf, step
     for _ in range(TRIES):
@@ -282,7 +295,7 @@ def _modes(problem: Problem, white: Linearised, correlation: FloatArray) -> tupl
     cosines = np.empty((len(problem.owner), MODES * channels))
     k = np.arange(MODES)
     amplitude = 1.0 / np.sqrt(1.0 + (k / CORNER) ** 4)
-    for first, last in zip(edges[:-1], edges[1:], strict=True):
+    for first, last in pairwise(edges):
         t = (np.arange(last - first) + 0.5) / (last - first)
         shapes = np.cos(np.pi * k * t[:, None]) * amplitude
         cosines[first * channels : last * channels] = np.kron(shapes, np.eye(channels))
@@ -302,6 +315,4 @@ def _per_mode(problem: Problem, modes: FloatArray, columns: FloatArray) -> Float
     if not modes.shape[1]:
         return np.empty((0, columns.shape[1]))
     ends = np.append(problem.edges[1:], len(modes))
-    return np.vstack(
-        [modes[a:b].T @ columns[a:b] for a, b in zip(problem.edges, ends, strict=True)]
-    )
+    return np.vstack([modes[a:b].T @ columns[a:b] for a, b in zip(problem.edges, ends, strict=True)])

@@ -1,4 +1,4 @@
-"""The search: enumerate all structures on one linearisation, refit the few that matter, linearise there, until it stands."""
+"""The search: enumerate all structures, refit the few that matter, linearise at the best, until it stands."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class StructureSearch:
         return len(candidates(self.data.model, self.baseline))
 
     def run(self, begin: Sequence[Fitted]) -> SearchState:
-        """Search from fits of some structures on the data's windows until nothing likelier is left to refit."""
+        """Search from fits of some structures until nothing likelier is left to refit."""
         state = SearchState()
         for fitted in begin:
             self._enter(state, fitted)
@@ -99,9 +99,8 @@ class StructureSearch:
                 looked.add(best)
                 view = self._view(state.refitted[best].fitted)
                 state.predicted = view.best()
-            if not self._refit_promising(state):
-                if state.best in looked:
-                    break
+            if not self._refit_promising(state) and state.best in looked:
+                break
         return state
 
     def _view(self, fitted: Fitted) -> Enumeration:
@@ -135,8 +134,8 @@ class StructureSearch:
         if fresh:
             starts += starts_beside(near, fresh)[1:2]
         return fit_terms(
-            model, self.data.search, terms, self.data.window, self.data.sigma, start=theta,
-            states=near.solution.point.states, starts=starts, iterations=25, tolerance=1e-4, held=self.data.held,
+            model, self.data.search, terms, self.data.window, self.data.sigma, start=theta, starts=starts,
+            states=near.solution.point.states, iterations=25, tolerance=1e-4, held=self.data.held,
         )  # fmt: skip
 
     def _enter(self, state: SearchState, fitted: Fitted) -> None:
@@ -153,7 +152,7 @@ class StructureSearch:
 def search_structures(
     data: Data, baseline: Fitted, progress: Progress, options: Options | None = None
 ) -> Found:
-    """Find the likeliest structures beside a fitted baseline, and state what held-out data say of the best."""
+    """Find the likeliest terms beside a fitted baseline, by one evidence."""
     options = options or Options()
     model = data.model
     correlation = lasting_noise(model, baseline.theta, data.search, data.sigma).correlation
@@ -168,7 +167,10 @@ def search_structures(
             search = StructureSearch(stage, baseline.terms, correlation, executor, progress, options)
             state = search.run(begin)
             leading = sorted(state.refitted.values(), key=lambda r: -r.log_evidence)[:3]
-            begin = [state.refitted[frozenset()].fitted, *(r.fitted for r in leading if r.fitted.terms != baseline.terms)]
+            begin = [
+                state.refitted[frozenset()].fitted,
+                *(r.fitted for r in leading if r.fitted.terms != baseline.terms),
+            ]
     return _concluded(stage, state, baseline.terms, options, search._candidates)
 
 
@@ -200,7 +202,9 @@ def _concluded(
         left = frozenset(t for t in best if t != term and term not in data.model.terms[t].with_terms)
         odds = known[best] - known.get(left, min(known.values()))
         if odds > options.claim:
-            steps.append(Step((term,), Evidence(-2.0 * odds, float(np.exp(-odds)), odds), float(np.exp(-odds)), True))
+            steps.append(
+                Step((term,), Evidence(-2.0 * odds, float(np.exp(-odds)), odds), float(np.exp(-odds)), True)
+            )
     steps.sort(key=lambda s: s.evidence.delta_bic)
     p_value = float(np.exp(min(known[frozenset()] - known[best], 0.0)))
     found = Found(base, fitted, tuple(steps), _rivals(state, best), p_value, looks)
