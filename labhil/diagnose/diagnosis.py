@@ -23,6 +23,7 @@ from labhil.diagnose.judge import NEEDED_BIC, TOGETHER, Data
 from labhil.diagnose.load import with_load
 from labhil.diagnose.rest import left_by, unexplained
 from labhil.diagnose.search import onward, search
+from labhil.diagnose.structures.search import search_structures
 from labhil.diagnose.timing import all_faults
 from labhil.diagnose.unmodelled import Unmodelled
 from labhil.diagnose.wider import adds_beyond_doubt, goes_elsewhere, searched_and_kept
@@ -40,6 +41,9 @@ from labhil.signals import FloatArray
 SEARCH_WINDOW_IN_HORIZONS = 0.375
 FIRST_WINDOW_IN_HORIZONS = 0.1875
 FALSE_ALARM = 5e-4
+SEARCH, EVIDENCE = "search", "evidence"
+Search = Callable[[Data, Fitted, Callable[[str], None]], Found]
+METHODS: Mapping[str, Search] = {SEARCH: search, EVIDENCE: search_structures}
 SHOWN = 1.1
 """RMSE over the noise floor, on held-out data, that asks for a wider search."""
 
@@ -58,6 +62,7 @@ def diagnose(
     accepted: Accepted | None = None,
     measured: Record | None = None,
     progress: Callable[[str], None] = lambda text: None,
+    method: str = SEARCH,
 ) -> Diagnosis:
     """Find what ``baseline`` lacks on ``searched``, judged on ``held_out``.
 
@@ -84,7 +89,9 @@ def diagnose(
         reason = "ended early, before anything was searched"
         stated = _unsearched(data, base, "not_decidable", reason, faults, heldout_is_test, began)
         return replace(stated, complete=False)
-    look = partial(_found, terms=terms, reference=reference, accepted=accepted, progress=progress)
+    look = partial(
+        _found, terms=terms, reference=reference, accepted=accepted, progress=progress, method=method
+    )
     end = _concluded(data, look(data, base), look, progress)
     found, curves, told, claimed = end.found, end.curves, strongest(end.curves), end.doubts
     final = _rows(found, curves, accepted)
@@ -165,27 +172,29 @@ def _found(
     reference: Mapping[str, float] | None,
     accepted: Accepted | None,
     progress: Callable[[str], None],
+    method: str,
 ) -> Found:
     """Search once; with values of the user's own sizes, once more with these held."""
-    found = search(data, base, progress)
+    by = METHODS[method]
+    found = by(data, base, progress)
     try:
         if not found.complete:
             return found
-        found = _with_credible_sizes(data, found, progress)
+        found = _with_credible_sizes(data, found, by, progress)
         found = with_load(data, found, accepted)
         sizes = _sizes(data.model, reference) if reference is not None and not found.errors else frozenset()
         if not sizes:
             return found
         progress("the same with the sizes of the given model held")
         held = replace(data, held=sizes)
-        again = search(held, fit_baseline(held, terms), progress)
+        again = by(held, fit_baseline(held, terms), progress)
     except EndedEarly:
         accept()
         return replace(found, complete=False)
     return _simpler(found, again) if again.complete else replace(found, complete=False)
 
 
-def _with_credible_sizes(data: Data, found: Found, progress: Callable[[str], None]) -> Found:
+def _with_credible_sizes(data: Data, found: Found, by: Search, progress: Callable[[str], None]) -> Found:
     """What was found; where the baseline's own sizes gave way, once more with these kept near nominal.
 
     The second answer has to be far likelier on the searched data: a nominal value may be wrong.
@@ -201,7 +210,7 @@ def _with_credible_sizes(data: Data, found: Found, progress: Callable[[str], Non
         return found
     progress(f"the same with {', '.join(size.key for size in lost)} near nominal")
     found = replace(found, collapsed=lost)
-    credible = search(near, baseline, progress)
+    credible = by(near, baseline, progress)
     if not credible.complete:
         return replace(found, complete=False)
     if not credible.missing or not _far_likelier(

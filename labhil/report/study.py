@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from labhil.diagnose.answer import Diagnosis
-from labhil.diagnose.diagnosis import diagnose
+from labhil.diagnose.diagnosis import SEARCH, diagnose
 from labhil.errors import UnknownNameError, UsageError
 from labhil.identify.fit import Fit, Options, fit
 from labhil.identify.further_channels import with_help
@@ -105,6 +105,7 @@ def diagnose_study(
     baseline: Sequence[str] | None = None,
     reference: Path | None = None,
     progress: Progress = lambda text: None,
+    method: str = SEARCH,
 ) -> DiagnosisResult:
     """Diagnose; ``reference`` is a fit file that stands for the user's simulation, like ``[nominal]``.
 
@@ -125,6 +126,7 @@ def diagnose_study(
             accepted=None if reference is None else accepted_of(reference),
             measured=material.measured,
             progress=progress,
+            method=method,
         )
     doubts = material.doubts(misfit=diagnosis.verdict != "no_mismatch")
     data = diagnosis_json(diagnosis, material.sources("search"))

@@ -192,6 +192,10 @@ class ArmSetup:
         low, high = np.log(OWN if joint is not None else WHOLE)
         return Drawn(term, drawn, powers, float(np.exp(random.uniform(low, high))), joint)
 
+    def draw_carrier(self, dry: Drawn, random: np.random.Generator) -> Drawn:
+        """None: an arm's model names presliding friction, so that it is an effect like any other."""
+        raise UsageError("--effects bristles: expected a rig that one input drives, found ur5")
+
     def numbers(self, secret: Secret) -> Mapping[str, float]:
         """Every number of the plant, its defaults included, by key."""
         return self._plant(secret, {}, 0).parameters

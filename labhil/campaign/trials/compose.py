@@ -10,7 +10,7 @@ import numpy as np
 
 from labhil.campaign.trials.answer import Answer, TrueEffect
 from labhil.campaign.trials.bench import bench_of
-from labhil.campaign.trials.draw import COUNTS
+from labhil.campaign.trials.draw import BRISTLES, COUNTS
 from labhil.campaign.trials.noise import TrueNoise
 from labhil.campaign.trials.oracle import Oracle, Refit
 from labhil.campaign.trials.secret import Drawn, Secret, Walk
@@ -133,10 +133,12 @@ def _effects(bare: Secret, noise: TrueNoise, sort: str, random: np.random.Genera
     if not COUNTS[sort][0]:
         return effects
     model = composed(bare, noise).oracle.model
-    for _ in range(DRAWS):
+    for _ in range(DRAWS if sort != BRISTLES else 10 * DRAWS):
         if len(effects) == COUNTS[sort][0]:
-            return effects
+            return [*effects, bare.setup.draw_carrier(effects[0], random)] if sort == BRISTLES else effects
         drawn = bare.setup.draw_effect(model, sort == "hidden", effects, random)
+        if sort == BRISTLES and not drawn.dry:
+            continue
         fitting = _scaled(replace(bare, effects=tuple(effects)), drawn, noise)
         if fitting is not None:
             effects.append(fitting)

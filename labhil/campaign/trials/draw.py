@@ -8,7 +8,12 @@ import numpy as np
 
 from labhil.errors import UsageError
 
-COUNTS: Mapping[str, tuple[int, ...]] = {"0": (0,), "1": (1,), "2": (2,), "3": (3,), "hidden": (1,)}
+BRISTLES = "bristles"
+"""A dry friction that bristles or slipping elements carry, in the place of an event-based law."""
+
+COUNTS: Mapping[str, tuple[int, ...]] = {
+    "0": (0,), "1": (1,), "2": (2,), "3": (3,), "hidden": (1,), BRISTLES: (1,),
+}  # fmt: skip
 MIXTURES: Mapping[str, Mapping[str, float]] = {
     "mixed": {"0": 0.25, "1": 0.35, "2": 0.2, "3": 0.08, "hidden": 0.12},
     "some": {"1": 0.48, "2": 0.24, "3": 0.12, "hidden": 0.16},

@@ -26,6 +26,8 @@ BITS = (0, 0, 8, 10)
 NEED_DRY = ("presliding_friction", "maxwell_slip_friction", "position_dependent_friction")
 """Effects that change dry friction and do nothing, or drive the part, where there is none."""
 DRY = ("coulomb_friction", "stribeck_friction", "load_dependent_friction")
+CARRIERS = ("presliding_friction", "maxwell_slip_friction")
+"""What may carry a dry friction in the place of an event-based law."""
 MEASUREMENT = ("quantisation", "pwm_ripple")
 """Effects of a plant that belong to the bench's conditions."""
 FINEST_BITS = 16.0
@@ -160,6 +162,19 @@ class OneInputSetup:
         drawn = {name: drawn_size(name, value, random) for name, value in defaults.items()}
         powers = {name: power_of(name) for name in drawn}
         return Drawn(term, drawn, powers, float(np.exp(random.uniform(low, high))))
+
+    def draw_carrier(self, dry: Drawn, random: np.random.Generator) -> Drawn:
+        """Bristles or slipping elements that carry a dry friction, as stiff for its level as by default."""
+        term = str(random.choice([name for name in CARRIERS if name in effects_of(self.kind)]))
+        defaults = self._world.parameters_of(term)
+        drawn = {name: drawn_size(name, value, random) for name, value in defaults.items()}
+        level, usual = (
+            abs(each[f"{dry.term}.level"]) for each in (dry.parameters, self._world.parameters_of(dry.term))
+        )
+        by_level = {
+            name: value * level / usual for name, value in drawn.items() if not name.endswith(".spread")
+        }
+        return Drawn(term, drawn | by_level, dict.fromkeys(drawn, 0), dry.target)
 
     def numbers(self, secret: Secret) -> Mapping[str, float]:
         """Every number of the plant, its defaults included."""

@@ -20,6 +20,7 @@ from typing import Any
 
 from labhil.campaign.trials.folder import (
     DIAGNOSE,
+    EVIDENCE,
     STEPWISE,
     Listed,
     Results,
@@ -121,7 +122,9 @@ def diagnose_trial(folder: Path, name: str, method: str = DIAGNOSE) -> dict[str,
         search, test = (recording(folder, name, role) for role in ("search", "test"))
         material = load_material(search, test_path=test)
         result: dict[str, Any] = (
-            stepwise_study(material) if method == STEPWISE else diagnose_study(material).json
+            stepwise_study(material)
+            if method == STEPWISE
+            else diagnose_study(material, method="evidence" if method == EVIDENCE else "search").json
         )
     except Exception as error:  # noqa: BLE001 - whatever it is, the other trials go on and it is counted
         return {

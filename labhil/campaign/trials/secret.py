@@ -35,6 +35,11 @@ class Drawn:
         """Its name with the joint, as the model's terms are called."""
         return keyed(self.term, self.joint)
 
+    @property
+    def dry(self) -> bool:
+        """Whether it is a dry friction that bristles can carry."""
+        return self.term in ("coulomb_friction", "stribeck_friction")
+
     def scaled(self, factor: float) -> Drawn:
         """The same effect, stronger by a factor."""
         by = {-1: 1.0 / factor, 0: 1.0, 1: factor}
@@ -112,6 +117,10 @@ class Setup(Protocol):
 
         Its strength is one to be scaled to.
         """
+        ...
+
+    def draw_carrier(self, dry: Drawn, random: np.random.Generator) -> Drawn:
+        """What carries a drawn dry friction in the place of an event-based law."""
         ...
 
     def numbers(self, secret: Secret) -> Mapping[str, float]:

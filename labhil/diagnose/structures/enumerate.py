@@ -1,0 +1,177 @@
+"""All structures that matter on one linearisation, by a beam search over sets of added terms."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import comb, log
+
+import numpy as np
+
+from labhil.diagnose.structures.marginal import Batch, log_evidence
+from labhil.diagnose.structures.responses import Responses, Variant
+from labhil.physics.model import Model
+from labhil.signals import FloatArray
+
+Structure = frozenset[str]
+"""Keys of the terms beside the baseline."""
+
+Choice = tuple[Variant, ...]
+"""A structure with the way in which each of its terms acts."""
+
+
+@dataclass(frozen=True, slots=True)
+class BeamOptions:
+    """How far the enumeration goes.
+
+    Attributes:
+        width: structures of each size that are extended by one more term.
+        variants: ways of a term to act that larger structures try, the best ones by themselves.
+        most_terms: size at which the search ends in any case.
+        hopeless: nats behind the best structure at which a size is not extended any more.
+    """
+
+    width: int = 40
+    variants: int = 2
+    most_terms: int = 24
+    hopeless: float = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class Predicted:
+    """A structure with its log evidence as one linearisation predicts it, and values by parameter key."""
+
+    structure: Structure
+    log_evidence: float
+    values: Mapping[str, float]
+    choice: Choice = ()
+
+
+def closed(model: Model, terms: Iterable[str], baseline: frozenset[str]) -> Structure:
+    """Return a structure with the terms that its terms build on, but for those of the baseline."""
+    chosen = frozenset(terms)
+    return frozenset({*chosen, *(t for term in chosen for t in model.terms[term].with_terms)}) - baseline
+
+
+def log_prior(model: Model, structure: Structure, candidates: int) -> float:
+    """Return the log prior of a structure.
+
+    Every number of terms is half as likely as one less, and all structures of one number are alike (Chen and
+    Chen 2008, extended BIC with γ = 1). What others build on comes with them and is not counted.
+    """
+    carried = {t for term in structure for t in model.terms[term].with_terms}
+    count = len(structure - carried)
+    return -count * log(2.0) - log(comb(max(candidates, count), count))
+
+
+@dataclass(frozen=True, slots=True)
+class Enumeration:
+    """Evidence of structures on one linearisation."""
+
+    model: Model
+    responses: Responses
+    baseline: frozenset[str]
+    candidates: int
+    options: BeamOptions = field(default_factory=BeamOptions)
+
+    def evaluate(self, choices: Sequence[Choice]) -> list[Predicted]:
+        """Return each structure with its log evidence, prior included, in the order given."""
+        found: list[Predicted | None] = [None] * len(choices)
+        widths = [sum(len(v.keys) for v in choice) for choice in choices]
+        for width in sorted(set(widths)):
+            places = [i for i, w in enumerate(widths) if w == width]
+            logs, sizes = log_evidence(self.responses.grams, _batch([choices[i] for i in places], width))
+            for i, value, own in zip(places, logs, sizes, strict=True):
+                found[i] = self._predicted(choices[i], float(value), own)
+        return [each for each in found if each is not None]
+
+    def best(self) -> dict[Structure, Predicted]:
+        """Return the best way of every structure that the beam reaches, the empty one included."""
+        order = self._best_variants()
+        reached = dict[Structure, Predicted]()
+        beam = self._seeds()
+        self._note(reached, self.evaluate(beam))
+        for _ in range(self.options.most_terms):
+            extended = self._extended(beam, order, reached)
+            if not extended:
+                break
+            ranked = sorted(self.evaluate(extended), key=lambda p: -p.log_evidence)
+            top = max(p.log_evidence for p in reached.values())
+            self._note(reached, ranked)
+            if ranked[0].log_evidence < top - self.options.hopeless:
+                break
+            first = {p.structure: p.choice for p in reversed(ranked)}
+            beam = [first[s] for s in dict.fromkeys(p.structure for p in ranked)][: self.options.width]
+        return reached
+
+    def _predicted(self, choice: Choice, value: float, sizes: FloatArray) -> Predicted:
+        structure = frozenset(v.term for v in choice)
+        ways = sum(log(len(self.responses.variants[v.term])) for v in choice)
+        prior = log_prior(self.model, structure, self.candidates)
+        return Predicted(structure, value + prior - ways, self.responses.sizes(choice, sizes), choice)
+
+    @staticmethod
+    def _note(reached: dict[Structure, Predicted], found: Iterable[Predicted]) -> None:
+        """Keep the better of two ways of the same structure."""
+        for predicted in found:
+            known = reached.get(predicted.structure)
+            if known is None or predicted.log_evidence > known.log_evidence:
+                reached[predicted.structure] = predicted
+
+    def _best_variants(self) -> dict[str, list[Variant]]:
+        """The ways of each term to act that explain most by themselves, best first."""
+        order = dict[str, list[Variant]]()
+        flat = [(variant,) for of in self.responses.variants.values() for variant in of]
+        for predicted in sorted(self.evaluate(flat), key=lambda p: -p.log_evidence):
+            (variant,) = predicted.choice
+            order.setdefault(variant.term, []).append(variant)
+        return {term: of[: self.options.variants] for term, of in order.items()}
+
+    def _seeds(self) -> list[Choice]:
+        """Nothing, the structure of the fit, and that less one term."""
+        variants = self.responses.variants
+        present = [t for t in self.responses.fitted.terms if t not in self.baseline and t in variants]
+        whole = tuple(variants[t][0] for t in present)
+        seeds = [(), whole, *(tuple(v for v in whole if v.term != left) for left in present)]
+        return list({_key(seed): seed for seed in seeds if self._is_closed(seed)}.values())
+
+    def _is_closed(self, choice: Choice) -> bool:
+        terms = frozenset(v.term for v in choice)
+        return closed(self.model, terms, self.baseline) == terms
+
+    def _extended(
+        self,
+        beam: Sequence[Choice],
+        order: Mapping[str, Sequence[Variant]],
+        reached: Mapping[Structure, object],
+    ) -> list[Choice]:
+        """Each structure of the beam with one more term, and what that builds on."""
+        found = dict[frozenset[tuple[str, int]], Choice]()
+        for choice in beam:
+            terms = frozenset(v.term for v in choice)
+            for term, ways in order.items():
+                carried = [t for t in self.model.terms[term].with_terms if t not in terms | self.baseline]
+                if term in terms or any(t not in order for t in carried):
+                    continue
+                for way in ways:
+                    longer = (*choice, *(order[t][0] for t in carried), way)
+                    if frozenset(v.term for v in longer) not in reached:
+                        found.setdefault(_key(longer), longer)
+        return list(found.values())
+
+
+def _key(choice: Choice) -> frozenset[tuple[str, int]]:
+    return frozenset((v.term, v.first) for v in choice)
+
+
+def _batch(choices: Sequence[Choice], width: int) -> Batch:
+    """Structures of one number of responses, as arrays."""
+    shape = (len(choices), width)
+    columns = [[c for v in choice for c in v.places] for choice in choices]
+    block = [[b for b, v in enumerate(choice) for _ in v.keys] for choice in choices]
+    positive = [[s for v in choice for s in v.positive] for choice in choices]
+    return Batch(
+        np.array(columns, dtype=np.int64).reshape(shape),
+        np.array(block, dtype=np.int64).reshape(shape),
+        np.array(positive, dtype=bool).reshape(shape),
+    )

@@ -1,0 +1,318 @@
+"""What each term would change in the residuals of a fit: responses, taken once where the fit stands.
+
+The fit's own added terms are among them, by their local slopes, and their part is taken out of the target: so
+every structure, with or without them, is compared along one trajectory that follows the data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from labhil.diagnose.judge import Data
+from labhil.diagnose.structures.marginal import Disturbance, Grams, grams
+from labhil.identify.fitted import Fitted
+from labhil.identify.problem import Linearised, Problem
+from labhil.identify.waves import starts_beside
+from labhil.physics.model import index_of, terms_named
+from labhil.physics.terms import Parameter
+from labhil.signals import FloatArray
+
+MODES, CORNER = 12, 2.0
+"""Cosines of the disturbance in each window, and the one from which their amplitude falls as 1/k²."""
+
+WANTED, LARGER = 1.5, 4.5
+"""Noise levels of the response by which a size is stepped, and of a second step where that is not
+proportional."""
+
+PROPORTIONAL = 0.3
+"""Relative difference from a proportional response from which a term counts as one with a threshold."""
+
+TRIES = 5
+"""Simulations that may go into finding the step of one size."""
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """One way in which a term may act: with one set of shapes, or by steps of one size.
+
+    ``keys`` are the parameters that the responses belong to, from place ``first`` of the Gram matrices on;
+    one unit of a response is ``unit`` of its parameter. ``shape`` marks responses to a change of shape beside
+    the value that it has ``at`` the fit; ``positive`` sizes that cannot be negative.
+    """
+
+    term: str
+    first: int
+    keys: tuple[str, ...]
+    unit: tuple[float, ...]
+    shape: tuple[bool, ...]
+    positive: tuple[bool, ...]
+    at: Mapping[str, float]
+
+    @property
+    def places(self) -> range:
+        """Where its responses stand in the Gram matrices."""
+        return range(self.first, self.first + len(self.keys))
+
+
+@dataclass(frozen=True, slots=True)
+class Responses:
+    """Responses of all terms beside a fit: their inner products, and the variants of each term by its key."""
+
+    fitted: Fitted
+    grams: Grams
+    variants: Mapping[str, tuple[Variant, ...]]
+
+    def sizes(self, variants: Sequence[Variant], coefficients: FloatArray) -> dict[str, float]:
+        """Values of parameters by key that ``coefficients`` of the variants' responses stand for."""
+        values: dict[str, float] = {}
+        start = 0
+        parameters = {p.key: p for p in self.fitted.problem.model.parameters}
+        for variant in variants:
+            values |= variant.at
+            for key, unit, shape in zip(variant.keys, variant.unit, variant.shape, strict=True):
+                value = coefficients[start] * unit + (variant.at[key] if shape else 0.0)
+                parameter = parameters[key]
+                values[key] = float(np.clip(value, parameter.lower, parameter.upper))
+                start += 1
+        return values
+
+
+@dataclass(frozen=True, slots=True)
+class _Column:
+    key: str
+    unit: float
+    shape: bool
+    positive: bool
+    values: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class _Way:
+    """A variant before its place is known."""
+
+    term: str
+    at: Mapping[str, float]
+    columns: tuple[_Column, ...]
+
+
+def responses(
+    data: Data,
+    fitted: Fitted,
+    baseline: Sequence[str],
+    correlation: FloatArray,
+    executor: Executor | None,
+    absent: Sequence[str] | None = None,
+) -> Responses:
+    """Take the responses of all terms where a fit stands.
+
+    Args:
+        data: the data of the search.
+        fitted: a fit of the baseline with or without further terms.
+        baseline: keys of the terms that every structure has.
+        correlation: (c,) of the noise of neighbouring samples of each output.
+        executor: runs simulations side by side.
+        absent: keys of the terms that may be added; None for all that the model has.
+    """
+    problem, solution = fitted.problem, fitted.solution
+    lin = problem.linearise(solution.point, solution.residuals)
+    found = [term for term in fitted.terms if term not in baseline]
+    own = [problem.model.parameters[i].term for i in problem.free]
+    shared = [j for j, term in enumerate(own) if term not in found]
+    ways = [_present(problem, fitted, lin, term) for term in found]
+    target = solution.residuals - _explained(fitted, ways)
+    others = [key for key in data.model.terms if key not in fitted.terms] if absent is None else absent
+    mapped = map if executor is None else executor.map
+    for each in mapped(lambda key: _absent(problem, fitted, lin, key), others):
+        ways += each
+    columns = [c.values for way in ways for c in way.columns]
+    matrix = np.column_stack([target, lin.by_parameters[:, shared], *columns])
+    placed, first = dict[str, list[Variant]](), 1
+    for way in ways:
+        fields = zip(*((c.key, c.unit, c.shape, c.positive) for c in way.columns), strict=True)
+        keys, unit, shape, positive = (tuple(f) for f in fields)
+        placed.setdefault(way.term, []).append(Variant(way.term, first, keys, unit, shape, positive, way.at))
+        first += len(keys)
+    seen = _inner_products(problem, lin, matrix, len(shared), correlation)
+    return Responses(fitted, seen, {term: tuple(of) for term, of in placed.items()})
+
+
+def _explained(fitted: Fitted, ways: Sequence[_Way]) -> FloatArray:
+    """What the added terms of a fit explain (N·c,), by their local slopes."""
+    places = index_of(fitted.problem.model.parameters)
+    explained = np.zeros_like(fitted.solution.residuals)
+    for column in (c for way in ways for c in way.columns if not c.shape):
+        explained += column.values * (fitted.theta[places[column.key]] / column.unit)
+    return explained
+
+
+def _present(problem: Problem, fitted: Fitted, lin: Linearised, term: str) -> _Way:
+    """A term that the fit has, by its local slopes."""
+    parameters = problem.model.parameters
+    own = [(j, parameters[i]) for j, i in enumerate(problem.free) if parameters[i].term == term]
+    columns = tuple(
+        _Column(p.key, p.scale, p.shape, not p.shape and p.lower == 0.0, lin.by_parameters[:, j])
+        for j, p in own
+    )
+    places = index_of(parameters)
+    at = {p.key: float(fitted.theta[places[p.key]]) for _, p in own if p.shape}
+    return _Way(term, at, columns)
+
+
+def _absent(problem: Problem, fitted: Fitted, lin: Linearised, term: str) -> list[_Way]:
+    """A term that the fit lacks: at each set of its shapes, and by several steps where it has a threshold."""
+    described = terms_named(problem.model, [term])[0]
+    shapes = [p for p in described.parameters if p.shape]
+    sizes = [p for p in described.parameters if not p.shape]
+    ways: list[_Way] = []
+    sets = starts_beside(fitted, [term])
+    seen = set[tuple[float, ...]]()
+    for values in sets:
+        at = {p.key: values[p.key] for p in shapes}
+        if tuple(at.values()) in seen:
+            continue
+        seen.add(tuple(at.values()))
+        stepped = [_stepped(problem, fitted, lin, at, p, _first_step(p, sets)) for p in sizes]
+        for k in range(max(len(each) for each in stepped)):
+            columns = tuple(each[min(k, len(each) - 1)] for each in stepped if each)
+            if columns:
+                ways.append(_Way(term, at, columns))
+    return ways
+
+
+def _first_step(parameter: Parameter, sets: Sequence[Mapping[str, float]]) -> float:
+    """A size to begin with: a start of its own, or a little of its scale."""
+    return max((abs(v[parameter.key]) for v in sets if v[parameter.key]), default=1e-2 * parameter.scale)
+
+
+def _stepped(
+    problem: Problem,
+    fitted: Fitted,
+    lin: Linearised,
+    at: Mapping[str, float],
+    parameter: Parameter,
+    step: float,
+) -> list[_Column]:
+    """Responses to steps of one size that change the residuals by about as much as noise does.
+
+    One where the response is proportional to the step; else also one to a larger step. None where no step
+    that is allowed changes anything.
+    """
+    model, residuals, states = problem.model, fitted.solution.residuals, fitted.solution.point.states
+    places = index_of(model.parameters)
+
+    def taken(size: float) -> tuple[float, FloatArray]:
+        theta = fitted.theta.copy()
+        for key, value in at.items():
+            theta[places[key]] = value
+        theta[places[parameter.key]] += size
+        change = problem.residuals_at(theta, states) - residuals
+        rms = float(np.sqrt(np.mean(problem.project(lin, change[:, None]) ** 2)))
+        return rms, np.asarray(change * (parameter.scale / size))
+
+    tried = _search_step(taken, min(step, 0.5 * parameter.upper), parameter.upper)
+    if not tried:
+        return []
+    chosen = min(tried, key=lambda size: abs(np.log(tried[size][0] / WANTED)))
+    sizes = [chosen]
+    if not _proportional(tried):
+        larger = min(tried, key=lambda size: abs(np.log(tried[size][0] / LARGER)))
+        sizes = list(dict.fromkeys([chosen, larger]))
+    positive = parameter.lower == 0.0
+    return [_Column(parameter.key, parameter.scale, False, positive, tried[size][1]) for size in sizes]
+
+
+def _search_step(
+    taken: Callable[[float], tuple[float, FloatArray]], step: float, upper: float
+) -> dict[float, tuple[float, FloatArray]]:
+    """Steps that changed anything, with the RMS of the response and the response per unit."""
+    tried = dict[float, tuple[float, FloatArray]]()
+    below, above, size = 0.0, np.inf, step
+    for _ in range(TRIES):
+        rms, column = taken(size)
+        if rms > 1e-6 and np.isfinite(rms):
+            tried[size] = (rms, column)
+        if 0.5 * WANTED <= rms <= 2.0 * WANTED:
+            if _proportional(tried) or any(r > 0.5 * LARGER for r, _ in tried.values()):
+                break
+            below, size = size, size * LARGER / rms
+            continue
+        if rms < WANTED:
+            below = max(below, size)
+            size = size * min(WANTED / max(rms, 1e-3), 30.0)
+        else:
+            above = min(above, size)
+            size = size * WANTED / rms
+        if not below < size < above:
+            size = np.sqrt(max(below, 1e-3 * above) * above) if np.isfinite(above) else 4.0 * below
+        if size >= upper:
+            break
+    return tried
+
+
+def _proportional(tried: Mapping[float, tuple[float, FloatArray]]) -> bool:
+    """Whether responses of about the noise's size grow as their steps; True where only one is known."""
+    per_unit = [rms / size for size, (rms, _) in tried.items() if rms < 4.0 * LARGER]
+    return len(per_unit) < 2 or max(per_unit) / min(per_unit) < 1.0 + PROPORTIONAL
+
+
+def _inner_products(
+    problem: Problem, lin: Linearised, matrix: FloatArray, baseline: int, correlation: FloatArray
+) -> Grams:
+    """Of whitened columns, the windows' states taken out, under every size of the disturbance."""
+    white = replace(lin, by_states=whitened(problem, lin.by_states, correlation))
+    seen = problem.project(white, whitened(problem, matrix, correlation))
+    modes, strength = _modes(problem, white, correlation)
+    products = _per_mode(problem, modes, seen)
+    rho = float(np.mean(correlation))
+    telling = min(1.0, problem.telling * (1.0 + rho) / (1.0 - rho))
+    dof = len(matrix) * telling - lin.by_states.shape[1] * len(problem.edges)
+    return grams(seen, baseline, products, strength, max(dof, 10.0), Disturbance.grid())
+
+
+def whitened(problem: Problem, columns: FloatArray, correlation: FloatArray) -> FloatArray:
+    """Columns (N·c, k) as an autoregression of first order leaves them, window by window."""
+    rho = np.asarray(correlation)[:, None]
+    if not rho.any():
+        return columns
+    rows = columns.reshape(-1, len(problem.sigma), columns.shape[1])
+    white = rows.copy()
+    inside = np.flatnonzero(np.diff(problem.windows.owner) == 0) + 1
+    white[inside] = (rows[inside] - rho * rows[inside - 1]) / np.sqrt(1.0 - rho**2)
+    return white.reshape(columns.shape)
+
+
+def _modes(problem: Problem, white: Linearised, correlation: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Orthonormal modes (N·c, K) of a smooth disturbance in each window, and their strength (W·K,)."""
+    if not problem.model.state_names:
+        return np.empty((len(problem.owner), 0)), np.empty(0)
+    channels = len(problem.sigma)
+    edges = np.append(problem.edges, len(problem.owner)) // channels
+    cosines = np.empty((len(problem.owner), MODES * channels))
+    k = np.arange(MODES)
+    amplitude = 1.0 / np.sqrt(1.0 + (k / CORNER) ** 4)
+    for first, last in pairwise(edges):
+        t = (np.arange(last - first) + 0.5) / (last - first)
+        shapes = np.cos(np.pi * k * t[:, None]) * amplitude
+        cosines[first * channels : last * channels] = np.kron(shapes, np.eye(channels))
+    seen = problem.project(white, whitened(problem, cosines, correlation))
+    basis, strength = np.empty_like(seen), []
+    for first, last in zip(edges[:-1] * channels, edges[1:] * channels, strict=True):
+        left, singular, _ = np.linalg.svd(seen[first:last], full_matrices=False)
+        width = min(left.shape[1], seen.shape[1])
+        basis[first:last, :width] = left[:, :width]
+        basis[first:last, width:] = 0.0
+        strength.append(np.r_[singular[:width], np.zeros(seen.shape[1] - width)])
+    return basis, np.concatenate(strength)
+
+
+def _per_mode(problem: Problem, modes: FloatArray, columns: FloatArray) -> FloatArray:
+    """Inner products (W·K, m) of each window's modes with columns (N·c, m)."""
+    if not modes.shape[1]:
+        return np.empty((0, columns.shape[1]))
+    ends = np.append(problem.edges[1:], len(modes))
+    return np.vstack([modes[a:b].T @ columns[a:b] for a, b in zip(problem.edges, ends, strict=True)])

@@ -1,0 +1,221 @@
+"""The search: enumerate all structures, refit the few that matter, linearise at the best, until it stands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from labhil.cores import cores
+from labhil.diagnose.evidence import Evidence
+from labhil.diagnose.found import Found, Rival, Step
+from labhil.diagnose.judge import Data
+from labhil.diagnose.screen import Progress, candidates
+from labhil.diagnose.structures.enumerate import Enumeration, Predicted, Structure
+from labhil.diagnose.structures.responses import Responses, responses
+from labhil.identify.fitted import Fitted, fit_terms
+from labhil.identify.noise import lasting_noise
+from labhil.identify.waves import starts_beside
+from labhil.physics.model import index_of
+from labhil.signals import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What governs a search.
+
+    Attributes:
+        horizons: length of the windows, in scored horizons, of each stage.
+        rounds: linearisations in each stage, at most.
+        refits: structures that are refitted in each round, at most.
+        margin: nats by which an enumerated structure may be behind the best to be refitted.
+        claim: odds (nats) that the best structure needs over the one without a term.
+    """
+
+    horizons: tuple[float, ...] = (0.375, 1.5)
+    rounds: int = 5
+    refits: int = 3
+    margin: float = 5.0
+    claim: float = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Refitted:
+    """A structure's own fit and its log evidence where that stands."""
+
+    fitted: Fitted
+    log_evidence: float
+    responses: Responses
+
+
+@dataclass(slots=True)
+class SearchState:
+    """What a stage has visited: refitted structures, and all as the newest linearisation predicts them."""
+
+    refitted: dict[Structure, Refitted] = field(default_factory=dict)
+    predicted: dict[Structure, Predicted] = field(default_factory=dict)
+
+    @property
+    def best(self) -> Structure:
+        """The refitted structure with the largest evidence."""
+        return max(self.refitted, key=lambda s: self.refitted[s].log_evidence)
+
+    def log_evidence(self) -> dict[Structure, float]:
+        """Log evidence of every structure that was visited."""
+        known = {s: p.log_evidence for s, p in self.predicted.items()}
+        return known | {s: r.log_evidence for s, r in self.refitted.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class StructureSearch:
+    """A search over sets of terms that are added to a baseline."""
+
+    data: Data
+    baseline: tuple[str, ...]
+    correlation: FloatArray
+    executor: Executor
+    progress: Progress
+    options: Options = Options()
+
+    @property
+    def _base(self) -> frozenset[str]:
+        return frozenset(self.baseline)
+
+    @property
+    def _candidates(self) -> int:
+        return len(candidates(self.data.model, self.baseline))
+
+    def run(self, begin: Sequence[Fitted]) -> SearchState:
+        """Search from fits of some structures until nothing likelier is left to refit."""
+        state = SearchState()
+        for fitted in begin:
+            self._enter(state, fitted)
+        looked = set[Structure]()
+        for _ in range(self.options.rounds):
+            best = state.best
+            if best not in looked:
+                looked.add(best)
+                view = self._view(state.refitted[best].fitted)
+                state.predicted = view.best()
+            if not self._refit_promising(state) and state.best in looked:
+                break
+        return state
+
+    def _view(self, fitted: Fitted) -> Enumeration:
+        self.progress(f"evidence of all structures beside {', '.join(fitted.terms)}")
+        seen = responses(self.data, fitted, self.baseline, self.correlation, self.executor)
+        return Enumeration(self.data.model, seen, self._base, self._candidates)
+
+    def _refit_promising(self, state: SearchState) -> bool:
+        """Refit the most promising structures that were not refitted yet; whether there were any."""
+        top = state.refitted[state.best].log_evidence
+        waiting = [
+            p for s, p in state.predicted.items()
+            if s not in state.refitted and p.log_evidence > top - self.options.margin
+        ]  # fmt: skip
+        waiting = sorted(waiting, key=lambda p: -p.log_evidence)[: self.options.refits]
+        for predicted in waiting:
+            self.progress(f"refitting {', '.join(sorted(predicted.structure)) or 'the baseline'}")
+            self._enter(state, self._refit(state, predicted))
+        return bool(waiting)
+
+    def _refit(self, state: SearchState, predicted: Predicted) -> Fitted:
+        """Fit a structure from where its prediction stands."""
+        model, near = self.data.model, state.refitted[state.best].fitted
+        terms = (*self.baseline, *(t for t in model.terms if t in predicted.structure))
+        theta = near.theta.copy()
+        for i, parameter in enumerate(model.parameters):
+            if parameter.term is not None and parameter.term not in terms:
+                theta[i] = parameter.neutral
+        fresh = [t for t in terms if t not in near.terms]
+        starts: list[Mapping[str, float]] = [predicted.values]
+        if fresh:
+            starts += starts_beside(near, fresh)[1:2]
+        return fit_terms(
+            model, self.data.search, terms, self.data.window, self.data.sigma, start=theta, starts=starts,
+            states=near.solution.point.states, iterations=25, tolerance=1e-4, held=self.data.held,
+        )  # fmt: skip
+
+    def _enter(self, state: SearchState, fitted: Fitted) -> None:
+        structure = frozenset(fitted.terms) - self._base
+        known = state.refitted.get(structure)
+        if known is not None and known.fitted.solution.cost <= fitted.solution.cost:
+            return
+        seen = responses(self.data, fitted, self.baseline, self.correlation, self.executor, absent=())
+        own = Enumeration(self.data.model, seen, self._base, self._candidates)
+        choice = tuple(seen.variants[t][0] for t in fitted.terms if t in structure and t in seen.variants)
+        state.refitted[structure] = Refitted(fitted, own.evaluate([choice])[0].log_evidence, seen)
+
+
+def search_structures(
+    data: Data, baseline: Fitted, progress: Progress, options: Options | None = None
+) -> Found:
+    """Find the likeliest terms beside a fitted baseline, by one evidence."""
+    options = options or Options()
+    model = data.model
+    correlation = lasting_noise(model, baseline.theta, data.search, data.sigma).correlation
+    lengths = options.horizons if model.state_names else options.horizons[-1:]
+    begin, stage, state = [baseline], data, SearchState()
+    with ThreadPoolExecutor(cores()) as executor:
+        for horizons in lengths:
+            window = min(horizons * model.horizon, data.search.longest)
+            if model.state_names:
+                stage = replace(data, window=window)
+                begin = [_on_windows(stage, fitted) for fitted in begin]
+            search = StructureSearch(stage, baseline.terms, correlation, executor, progress, options)
+            state = search.run(begin)
+            leading = sorted(state.refitted.values(), key=lambda r: -r.log_evidence)[:3]
+            begin = [
+                state.refitted[frozenset()].fitted,
+                *(r.fitted for r in leading if r.fitted.terms != baseline.terms),
+            ]
+    return _concluded(stage, state, baseline.terms, options, search._candidates)
+
+
+def _on_windows(data: Data, fitted: Fitted) -> Fitted:
+    """Refit on the data's windows."""
+    if abs(fitted.window - data.window) < 1e-9:
+        return fitted
+    return fit_terms(
+        data.model, data.search, fitted.terms, data.window, data.sigma, start=fitted.theta, new_terms=(),
+        iterations=25, tolerance=1e-4, held=data.held,
+    )  # fmt: skip
+
+
+def _concluded(
+    data: Data, state: SearchState, baseline: tuple[str, ...], options: Options, looks: int
+) -> Found:
+    """The best structure with its rivals; nothing where the data do not speak for it."""
+    base = state.refitted[frozenset()].fitted
+    known = state.log_evidence()
+    best = state.best
+    fitted = state.refitted[best].fitted
+    steps = []
+    places = index_of(data.model.parameters)
+    for term in sorted(best):
+        if any(term in data.model.terms[t].with_terms for t in best):
+            own = [places[p.key] for p in data.model.terms[term].parameters if not p.shape]
+            if np.all(fitted.theta[own] == 0.0):
+                continue
+        left = frozenset(t for t in best if t != term and term not in data.model.terms[t].with_terms)
+        odds = known[best] - known.get(left, min(known.values()))
+        if odds > options.claim:
+            steps.append(
+                Step((term,), Evidence(-2.0 * odds, float(np.exp(-odds)), odds), float(np.exp(-odds)), True)
+            )
+    steps.sort(key=lambda s: s.evidence.delta_bic)
+    p_value = float(np.exp(min(known[frozenset()] - known[best], 0.0)))
+    found = Found(base, fitted, tuple(steps), _rivals(state, best), p_value, looks)
+    return found.ending(fitted, tuple(steps))
+
+
+def _rivals(state: SearchState, best: Structure) -> tuple[Rival, ...]:
+    """Structures that have another term in the place of one, within 5 nats."""
+    known, found = state.log_evidence(), []
+    for structure, value in known.items():
+        gone, new = best - structure, structure - best
+        if len(gone) == 1 and len(new) == 1 and known[best] - value < 5.0:
+            found.append(Rival(next(iter(new)), next(iter(gone)), 2.0 * (known[best] - value)))
+    return tuple(sorted(found, key=lambda r: r.delta_bic))

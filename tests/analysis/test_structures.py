@@ -1,0 +1,88 @@
+"""The evidence of structures, against brute force and against what a shipped recording is made of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import integrate
+
+from labhil.diagnose.diagnosis import data_of, fit_baseline
+from labhil.diagnose.structures.marginal import KAPPA, Batch, Disturbance, grams, log_evidence
+from labhil.diagnose.structures.search import search_structures
+from labhil.report.material import load_material
+
+ROOT = Path(__file__).parents[2]
+
+
+def one(columns: list[int], block: list[int], positive: list[bool]) -> Batch:
+    return Batch(np.array([columns]), np.array([block]), np.array([positive]))
+
+
+def test_the_evidence_of_one_size_is_its_integral() -> None:
+    random = np.random.default_rng(4)
+    n = 60
+    response = random.standard_normal(n)
+    target = random.standard_normal(n) - 0.7 * response
+    matrix = np.column_stack([target, response])
+    seen = grams(matrix, 0, np.empty((0, 2)), np.empty(0), n, Disturbance.grid((0.0,)))
+    with_it, size = log_evidence(seen, one([1], [0], [False]))
+    without, _ = log_evidence(seen, one([], [], []))
+    kappa = KAPPA[np.argmin(np.abs(np.log(KAPPA / np.sqrt(size[0, 0] ** 2 * (response @ response) / n))))]
+    spread = kappa * np.sqrt(n / (response @ response))
+    power = float(target @ target)
+
+    # x given σ is normal with standard deviation σ·spread; σ integrates to a power of the penalised squares
+    def weight(x: float) -> float:
+        left = target + response * x
+        squares = float(left @ left) + (x / spread) ** 2
+        return float((squares / power) ** (-0.5 * (n + 1)))
+
+    inside, _ = integrate.quad(weight, -5.0, 5.0, points=[size[0, 0]])
+    normal, _ = integrate.quad(lambda u: (1.0 + u * u) ** (-0.5 * (n + 1)), -np.inf, np.inf)
+    expected = (
+        np.log(inside / (normal * np.sqrt(power))) + 0.5 * np.log(power) - np.log(spread) - np.log(len(KAPPA))
+    )
+    assert with_it[0] - without[0] == pytest.approx(expected, abs=0.05)
+    assert size[0, 0] == pytest.approx(0.7, abs=0.3)
+
+
+def test_a_size_that_cannot_be_negative_gains_where_it_is_positive_and_loses_where_it_would_be_negative() -> (
+    None
+):
+    random = np.random.default_rng(5)
+    response = random.standard_normal(200)
+    for true, better in ((0.3, True), (-0.3, False)):
+        matrix = np.column_stack([random.standard_normal(200) - true * response, response])
+        seen = grams(matrix, 0, np.empty((0, 2)), np.empty(0), 200, Disturbance.grid((0.0,)))
+        free, _ = log_evidence(seen, one([1], [0], [False]))
+        bound, _ = log_evidence(seen, one([1], [0], [True]))
+        assert (bound[0] > free[0]) == better
+
+
+def test_a_smooth_disturbance_takes_the_evidence_from_a_term_that_imitates_it() -> None:
+    random = np.random.default_rng(6)
+    n = 400
+    t = (np.arange(n) + 0.5) / n
+    modes = np.sqrt(2.0 / n) * np.cos(np.pi * np.arange(1, 9) * t[:, None])
+    response = modes @ random.standard_normal(8)
+    target = random.standard_normal(n) + 20.0 * modes @ random.standard_normal(8)
+    matrix = np.column_stack([target, response])
+    strength = np.full(8, np.sqrt(n))
+    gains = []
+    for sizes in ((0.0,), (0.0, 1.0)):
+        seen = grams(matrix, 0, modes.T @ matrix, strength, n, Disturbance.grid(sizes))
+        with_it, _ = log_evidence(seen, one([1], [0], [False]))
+        gains.append(with_it[0] - log_evidence(seen, one([], [], []))[0][0])
+    assert gains[1] < gains[0]
+
+
+@pytest.mark.extended
+def test_the_terms_of_a_shipped_recording_are_found() -> None:
+    material = load_material(
+        ROOT / "recordings" / "ball_beam_identify.mcap", test_path=ROOT / "recordings" / "ball_beam_test.mcap"
+    )
+    data = data_of(material.model, material.learn, material.judge)
+    found = search_structures(data, fit_baseline(data, ["viscous_friction"]), lambda text: None)
+    assert {step.terms[0] for step in found.missing} == {"coulomb_friction", "stribeck_friction", "dead_zone"}
