@@ -221,7 +221,7 @@ def _devices_of(recording: Recording, kind: RigKind) -> list[str]:
         if any(set(data.stream.names()) >= set(inputs) for inputs in kind.driven_by)
         and any(signal.name in data.stream.names() for signal in kind.outputs)
     ]
-    return list(dict.fromkeys(matching))
+    return sorted(set(matching))
 
 
 def unusable_values(record: Record) -> str:

@@ -27,7 +27,8 @@ class Mapped(NamedTuple):
 
     def in_ours(self, raw: FloatArray) -> FloatArray:
         """Raw values (rows, columns) in the signal's unit."""
-        return np.asarray(raw * self.scale + self.offset, dtype=np.float64)
+        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite makes a bad row
+            return np.asarray(raw * self.scale + self.offset, dtype=np.float64)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from labhil.whole import unwritten, whole
 
 RECORDING = Path(__file__).parents[2] / "recordings" / "ball_beam_identify.mcap"
 RIG = '[rig]\nkind = "ball_beam"\n'
-ROOM = 20_000
+ROOM = 12_000
 # a workbook is put together in a temporary file, which such a limit hits first, in the midst of its package
 WRITES = {
     "csv": ("export", str(RECORDING), "-o", "x.csv"),

@@ -134,7 +134,8 @@ def spoil_recordings(tmp_path, cases):
     folder.mkdir()
     for number in range(cases):
         whole = variants[number % len(variants)]
-        checksums = number % len(variants) != len(variants) - 1
+        # nothing guards messages outside of chunks, nor those of a chunk that is not packed and was cut off
+        checksums = number % len(variants) not in (1, len(variants) - 1)
         broken = spoilt(whole, draw)
         try:
             read_in_every_way(broken, folder, set(messages(whole)), checksums)
