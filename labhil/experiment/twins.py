@@ -10,8 +10,8 @@ from labhil.errors import UsageError
 from labhil.experiment.experiment import TwinSection
 from labhil.service.child import Child
 
-START_TIMEOUT = 90.0
-"""How long a twin may take to open its port, s: the first start compiles its plant."""
+START_TIMEOUT = 180.0
+"""How long a twin may take to open its port, s: the first start compiles its plant, others theirs beside it."""
 
 
 def start_twin(
