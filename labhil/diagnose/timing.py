@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from labhil.diagnose.fault import Fault, Kind
-from labhil.diagnose.intake import TOLERATED, faults_of
+from labhil.diagnose.intake import MEASURED_INPUTS, TOLERATED, faults_of
 from labhil.errors import UsageError
 from labhil.identify.fitted import Fitted, fit_terms
 from labhil.identify.windows import noise_of
@@ -93,6 +93,8 @@ def _part(model: Model, record: Record) -> Record | None:
     """The samples that are compared; None where a comparison means nothing."""
     if model.metric is not Metric.WINDOWED_SIMULATION or len(record.input_names) != 1:
         return None
+    if record.input_names[0] in MEASURED_INPUTS:
+        return None  # its own sensor and the noise of that shift it by some part of a sample
     if len(record.begins) > 1 or not len(record) >= FEWEST_SAMPLES or np.any(np.diff(record.t) <= 0.0):
         return None
     part = record.part(0, MOST_SAMPLES)

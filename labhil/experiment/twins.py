@@ -11,7 +11,7 @@ from labhil.experiment.experiment import TwinSection
 from labhil.service.child import Child
 
 START_TIMEOUT = 180.0
-"""How long a twin may take to open its port, s: the first start compiles its plant, others theirs beside it."""
+"""How long a twin may take to open its port, s: the first start compiles its plant, beside other twins."""
 
 
 def start_twin(

@@ -84,7 +84,8 @@ def widened(
     spread = np.array([_spread(row, values, errors) for row in table.rows])
     old = np.array([row.std_error for row in table.rows])
     new = np.sqrt(old**2 + spread**2 + moved**2)
-    factor = np.where(np.isfinite(new) & (old > 0.0), new / np.maximum(old, 1e-300), 1.0)
+    known = np.isfinite(new) & (old > 0.0)
+    factor = np.where(known, new, 1.0) / np.where(known, old, 1.0)
     rows = [
         statistics.with_wider_error(row, float(error), (parameter.lower, parameter.upper))
         for row, error, parameter in zip(table.rows, new, parameters, strict=True)

@@ -125,13 +125,14 @@ def noise_of(record: Record) -> FloatArray:
     sigmas = []
     rows, third = _third_differences(record)
     for j, column in enumerate(record.outputs.T):
-        left = third(column)
-        held = held_samples(column)
-        moving = ~held[rows].all(axis=1)
-        if held.any() and moving.sum() >= FEWEST_MOVING:
-            left = left[moving]
+        left, step = third(column), converter_step(column)
+        # what is read in even steps is held by them as well as by rest, and has their rounding for its noise
+        if step == 0.0:
+            step = uneven_step(column)
+            held = held_samples(column)
+            moving = ~held[rows].all(axis=1)
+            left = left[moving] if held.any() and moving.sum() >= FEWEST_MOVING else left
         spread = float(np.sqrt(np.mean(np.square(left[np.abs(left) <= 8.0 * _robust(left)]))))
-        step = converter_step(column) or uneven_step(column)
         least = record.least_noise[j] if record.least_noise else 0.0
         sigmas.append(max(spread, step / np.sqrt(12.0), least, 1e-12))
     return np.array(sigmas)
@@ -145,7 +146,9 @@ def with_least_noise(record: Record) -> Record:
     rests = np.array([bool(held_samples(column).any()) for column in record.outputs.T])
     if not rests.any() or len(record) < FEWEST_SAMPLES or not np.isfinite(record.outputs).all():
         return record
-    return replace(record, least_noise=tuple(np.where(rests, noise_of(record), 0.0).tolist()))
+    rounding = np.array([converter_step(column) for column in record.outputs.T]) / np.sqrt(12.0)
+    least = np.where(rounding > 0.0, rounding, noise_of(record))
+    return replace(record, least_noise=tuple(np.where(rests, least, 0.0).tolist()))
 
 
 def _third_differences(record: Record) -> tuple[IntArray, Callable[[FloatArray], FloatArray]]:

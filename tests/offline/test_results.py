@@ -180,4 +180,4 @@ def test_offline_work_loads_no_bus_and_no_device(command: str, shipped: Path, tm
     loaded = set(done.stdout.splitlines()[-1].split()[1:])
     assert "labhil.recording" in loaded or command == "terms"
     assert loaded.isdisjoint(ACQUISITION)
-    assert command in ("fit", "terms") or loaded.isdisjoint({"numba", "matplotlib", "statsmodels"})
+    assert command in ("fit", "terms", "import") or loaded.isdisjoint({"numba", "matplotlib", "statsmodels"})
