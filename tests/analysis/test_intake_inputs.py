@@ -81,7 +81,7 @@ def test_the_noise_of_a_counter_is_that_of_its_moving_part(even):
     assert step / np.sqrt(12.0) <= noise_of(record)[0] < 0.6 * step
     still = with_least_noise(record).part(700, 1000)
     assert np.ptp(still.outputs) == 0.0
-    assert noise_of(still)[0] == noise_of(with_least_noise(record))[0]
+    assert step / np.sqrt(12.0) <= noise_of(still)[0] * (1.0 + 1e-6) <= noise_of(record)[0] * (1.0 + 2e-6)
 
 
 def test_noise_of_a_channel_that_never_rests_is_not_touched():
