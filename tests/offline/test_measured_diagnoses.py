@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[2]
 RIGS = ROOT / "docs" / "measured"
 DATA = Path(os.environ.get("LABHIL_DATA") or ROOT.parent / "shared" / "data")
 
-pytestmark = [pytest.mark.extended, pytest.mark.timeout(2400)]
+pytestmark = [pytest.mark.by_hand, pytest.mark.timeout(2400)]  # nine to eighteen minutes each
 
 
 @pytest.fixture
