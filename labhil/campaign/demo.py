@@ -172,5 +172,5 @@ def _open_envelope(path: Path, seal: str, diagnosis: Diagnosis, console: Console
             continue
         low, high = row.ci99
         inside = "covered" if low <= value <= high else f"{abs(row.value - value) / row.std_error:.1f} σ off"
-        table.add_row(name, f"{value:.5g}", f"{row.value:.5g}", rf"\[{low:.5g}, {high:.5g}]", inside)
+        table.add_row(name, f"{value:.5g}", f"{row.value:.5g}", f"[{low:.5g}, {high:.5g}]", inside)
     console.print(table)
