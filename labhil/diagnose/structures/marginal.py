@@ -144,12 +144,6 @@ def log_evidence(grams: Grams, batch: Batch) -> tuple[FloatArray, FloatArray]:
     return total, np.array(sizes)[best, np.arange(len(best))]
 
 
-def likeliest_disturbance(grams: Grams, batch: Batch) -> IntArray:
-    """Place (S,) in the grid of the size of the disturbance that each structure leaves most likely."""
-    raw = _gathered(grams.raw, batch.columns)
-    return np.argmax([_under(grams, t, raw, batch)[0] for t in range(len(grams.log_weight))], axis=0)
-
-
 def _under(grams: Grams, t: int, raw: FloatArray, batch: Batch) -> tuple[FloatArray, FloatArray]:
     """The same under one τ."""
     seen, total = grams.seen[t], grams.seen[t, 0, 0]
