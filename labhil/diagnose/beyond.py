@@ -49,6 +49,12 @@ The usual limit of the variance's inflation by what is collinear.
 """
 
 
+CONSTANT = "constant_force"
+
+MOST = 0.5
+"""Share of what the baseline leaves beyond noise that is most of it."""
+
+
 def beyond(data: Data, found: Found, excess: float) -> tuple[Found, tuple[Unmodelled, ...]]:
     """Forces that no named term explains, and what was found without the terms that they make needless.
 
@@ -98,18 +104,31 @@ def _of_part(
     for something else.
     """
     beside = _curve(data, found.final, curves, part)
-    doubtful = [step for step in found.missing if data.model.terms[step.terms[0]].joint == part.joint]
-    if not doubtful:
+    own = [step for step in found.missing if data.model.terms[step.terms[0]].joint == part.joint]
+    if not own:
         return found, beside
+    doubtful = _not_constant(data, found, own)
     if beside is None:
         return (found, None) if part.joint is not None else _instead(data, found, part, excess)
     simpler = _less(data, found, doubtful)
-    alone = _curve(data, simpler.final, curves, part)
+    alone = _curve(data, simpler.final, curves, part) if doubtful else None
     # what is named beside a curve needs as strong evidence as without one, of as many candidates
     needed = 2.0 * len(doubtful) * np.log(found.looks) - NEEDED_BIC
-    if alone is not None and _behind(data, alone, beside) < needed:
+    if doubtful and alone is not None and _behind(data, alone, beside) < needed:
         return simpler, alone
-    return found, _told_apart(data, found, curves, part, doubtful, beside)
+    return found, _told_apart(data, found, curves, part, own, beside)
+
+
+def _not_constant(data: Data, found: Found, steps: Sequence[Step]) -> list[Step]:
+    """The steps that a curve may take the place of: not a constant force that explains most by itself.
+
+    Every curve has a constant part, so beside one nothing speaks for such a force, however large it is.
+    """
+    others = [step for step in steps if data.model.terms[step.terms[0]].name != CONSTANT]
+    if len(others) == len(steps):
+        return others
+    before, after = found.baseline.solution.cost, _less(data, found, others).final.solution.cost
+    return others if before - after > MOST * (before - found.baseline.dof) else list(steps)
 
 
 def _told_apart(
@@ -172,8 +191,9 @@ def _or_curve(data: Data, found: Found, part: MovedPart, excess: float) -> tuple
     it is likelier, each of these chosen among as many (the extended BIC): that a rig has them all is less
     likely than that it has one which they imitate.
     """
-    simpler = _less(data, found, found.missing)
-    alone = _curve(data, simpler.final, (), part)
+    doubtful = _not_constant(data, found, found.missing)
+    simpler = _less(data, found, doubtful)
+    alone = _curve(data, simpler.final, (), part) if doubtful or not found.missing else None
     if alone is None:
         return found, None
     named = len(_forces(data.model, found))
@@ -211,14 +231,16 @@ def _forces(model: Model, found: Found) -> list[Step]:
 
 
 def _less(data: Data, found: Found, steps: Sequence[Step]) -> Found:
-    """What was found without some of its steps."""
+    """What was found without some of its steps, on the same windows."""
+    if not steps:
+        return found
     kept = tuple(step for step in found.missing if step not in steps)
     if not kept:
         return found.nothing
     terms = found.final.terms
     for step in steps:
         terms = without(data.model, terms, step.terms[0])
-    return found.ending(refit(data, found.final, terms, ()), kept)
+    return found.ending(refit(replace(data, window=found.final.window), found.final, terms, ()), kept)
 
 
 def _still_supported(data: Data, found: Found) -> Found:

@@ -13,14 +13,15 @@ from dataclasses import dataclass, replace
 
 from labhil.diagnose.evidence import bic, effective_samples
 from labhil.diagnose.judge import NEEDED_BIC, Data
-from labhil.identify.fitted import Fitted
+from labhil.identify.fitted import Fitted, covariances, fit_terms
+from labhil.identify.identifiability import weak_parameters
 from labhil.physics.model import Model
 
 FAR = 10.0
 """Factor from its nominal value beyond which a size has given way: an order of magnitude."""
 
-NEAR = 3.0
-"""Factor within which it is kept: what formulas, data sheets and guesses are off by, half of that order."""
+NEAR = FAR**0.5
+"""Factor within which it is kept: there a value is closer to the nominal one than to one that gave way."""
 
 NOISE = 1.05
 """A baseline that leaves no more than this many times the noise says what the sizes are, not what we knew."""
@@ -45,7 +46,11 @@ class Collapsed:
 
 
 def given_way(data: Data, baseline: Fitted) -> tuple[Collapsed, ...]:
-    """The rig's own sizes, none of which can be zero, that a baseline which leaves more than noise lost."""
+    """The rig's own sizes, none of which can be zero, that a baseline which leaves more than noise lost.
+
+    Only such as these data can know at all: from a motor's speed alone inertia and torque constant are known
+    as a ratio, and either may be anywhere.
+    """
     problem, found = baseline.problem, list[Collapsed]()
     for j, i in enumerate(problem.free):
         parameter, value, nominal = data.model.parameters[i], float(baseline.theta[i]), float(data.begin[i])
@@ -53,7 +58,19 @@ def given_way(data: Data, baseline: Fitted) -> tuple[Collapsed, ...]:
             continue
         if parameter.at_bound(value) or not nominal / FAR < value < nominal * FAR:
             found.append(Collapsed(parameter.key, value, nominal, parameter.unit))
-    return tuple(found)
+    return _knowable(data, baseline.terms, found) if found else ()
+
+
+def _knowable(data: Data, terms: Sequence[str], lost: Sequence[Collapsed]) -> tuple[Collapsed, ...]:
+    """Those of the sizes that take part in no direction of which these data tell nothing."""
+    there = fit_terms(
+        data.model, data.search, terms, data.window, data.sigma, start=data.begin, new_terms=(),
+        iterations=0, thorough=False, held=data.held,
+    )  # fmt: skip
+    free = [data.model.parameters[i] for i in there.problem.free]
+    weak = weak_parameters(free, there.theta[there.problem.free], covariances(there)[2], 1.0)
+    unknown = {parameter.key for parameter, is_weak in zip(free, weak, strict=True) if is_weak}
+    return tuple(size for size in lost if size.key not in unknown)
 
 
 def kept_near(model: Model, sizes: Sequence[Collapsed]) -> Model:

@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+sys.path.insert(0, str(Path(__file__).parent))
+from one_input_rigs import replay, rig_of, staircase
+
 from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.collapsed import NEAR, given_way, kept_near
-from labhil.diagnose.diagnosis import _changes, data_of
+from labhil.diagnose.diagnosis import _changes, data_of, diagnose
 from labhil.identify.fitted import fit_terms
 from labhil.identify.statistics import stated
+from labhil.identify.windows import split
 from labhil.physics.ball_beam import BallBeamModel
-from labhil.physics.model import Record
+from labhil.physics.dc_motor import DcMotorModel
+from labhil.physics.model import Record, index_of
 from labhil.physics.terms import Parameter
 from labhil.report.results import finite
 from labhil.rig import parse_rig
+from labhil.signals import Hold
 
 GAIN = 5.0 / 7.0 * 9.81
 SIZE = Parameter("level", "N", 1.0)
@@ -39,6 +46,54 @@ def tilted(seconds: float, seed: int) -> Record:
             x[k + 1], v[k + 1] = x[k] + period * v[k], v[k] + period * a
     y = x + 1e-3 * random.standard_normal(n)
     return Record(t, angle[:, None], y[:, None], ("beam_angle",), ("ball_position",), ("m",))
+
+
+def offset(seconds: float, seed: int) -> Record:
+    """A ball on a tube whose angle reads 0.06 rad too much, moved on purpose; the motion to 10⁻⁶ m."""
+    random, period, parts = np.random.default_rng(seed), 0.01, 20
+    n, h = round(seconds / period), period / parts
+    t, angle, y = period * np.arange(n), np.empty(n), np.empty(n)
+    x, v, goal = 0.0, 0.0, 0.0
+    for k in range(n):
+        if k % 300 == 0:
+            goal = random.uniform(-0.15, 0.15)
+        y[k], angle[k] = x, 0.06 + float(np.clip(-0.9 * (x - goal) - 0.55 * v, -0.25, 0.25))
+        for _ in range(parts):
+            later = v + h * (GAIN * np.sin(angle[k] - 0.06) - 0.4 * v)
+            x, v = x + 0.5 * h * (v + later), later
+    y += 1e-3 * random.standard_normal(n)
+    held = (Hold.ZERO,)
+    return Record(
+        t, angle[:, None], y[:, None], ("beam_angle",), ("ball_position",), ("m",), input_holds=held
+    )
+
+
+def test_an_offset_that_the_whole_motion_needs_is_named_and_no_curve_takes_its_place():
+    record = offset(50.0, 1)
+    model = BallBeamModel(parse_rig('[rig]\nkind = "ball_beam"\n', Path("rig.toml")), record)
+    learn, judge = split(record, 0.3, model.horizon)
+    found = diagnose(model, learn, judge, heldout_is_test=False, baseline=["viscous_friction"])
+    first = found.missing[0]
+    assert (found.verdict, first.term) == ("missing_physics", "constant_force")
+    assert first.parameters[0].value == pytest.approx(-GAIN * np.sin(0.06), rel=0.02)
+    gain = next(row for row in found.final if row.name == "acceleration_per_radian")
+    assert gain.value == pytest.approx(GAIN, rel=0.02)
+
+
+def test_sizes_that_are_known_as_a_ratio_only_have_not_given_way():
+    u = staircase(12.0, 0.01, 0.6, 6.0, 1)
+    terms, noise = ["viscous_friction", "coulomb_friction"], {"speed_noise": 0.02}
+    record = replay("dc_motor", u, terms, noise=noise, seed=1, outputs=("speed",)).record
+    model = DcMotorModel(rig_of("dc_motor"), record)
+    data = data_of(model, record, record)
+    fitted = fit_terms(
+        model, record, ("viscous_friction",), data.window, data.sigma, start=data.begin, iterations=5
+    )
+    theta, own = fitted.theta.copy(), ("inertia", "torque_constant", "resistance", "inductance")
+    for p, place in index_of(model.parameters).items():
+        if p in own:
+            theta[place] = model.parameters[place].lower
+    assert given_way(data, replace(fitted, theta=theta)) == ()
 
 
 def test_a_gain_that_fell_to_its_bound_has_given_way_and_is_kept_near_its_nominal_value():
