@@ -7,7 +7,14 @@ from math import inf, isfinite
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from labhil.documents import DocumentError, parse_toml
 from labhil.errors import RigFileError, suggestion
@@ -235,6 +242,14 @@ class RigFile(_Section):
     def _flattened(cls, value: object) -> object:
         return dict(_flatten(value)) if isinstance(value, Mapping) else value
 
+    @field_validator("known", "nominal", mode="before")
+    @classmethod
+    def _are_numbers(cls, value: object) -> object:
+        for name, each in value.items() if isinstance(value, Mapping) else ():
+            if any(isinstance(x, bool) for x in (each if isinstance(each, list) else [each])):
+                raise ValueError(f"{name}: expected a number, found {str(each).lower()}")
+        return value
+
     @model_validator(mode="after")
     def _names_exist(self) -> RigFile:
         signals = {signal.name for signal in self.kind.signals()}
@@ -250,6 +265,9 @@ class RigFile(_Section):
         for name, value in self.nominal.items():
             if not isfinite(value):
                 raise ValueError(f"nominal.{name} must be a finite number, found {value!r}")
+            what = self.kind.known.get(name)
+            if what is not None and what.width == 1 and not what.admits(value):
+                raise ValueError(f"nominal.{name} must be {what.expected()}, found {value!r}")
         return self
 
 

@@ -62,7 +62,8 @@ def _doubts(path: Path) -> list[str]:
         return []
     try:
         record = record_of(recording, recording.rig.kind)
-        return [doubt.statement for doubt in doubts_of(record, recording.rig)]
+        found = doubts_of(record, recording.rig, time_column=recording.time_column)
+        return [doubt.statement for doubt in found]
     except LabhilError:
         return []
 

@@ -70,7 +70,9 @@ class Doubt:
     lines: tuple[str, ...]
 
 
-def doubts_of(record: Record, rig: RigFile, *, misfit: bool = False) -> tuple[Doubt, ...]:
+def doubts_of(
+    record: Record, rig: RigFile, *, misfit: bool = False, time_column: str = "t"
+) -> tuple[Doubt, ...]:
     """Hold each recording of a record against the physics of its rig.
 
     Args:
@@ -78,10 +80,13 @@ def doubts_of(record: Record, rig: RigFile, *, misfit: bool = False) -> tuple[Do
         rig: Its rig file: what is known, and how columns became channels.
         misfit: Whether a model does not explain it: then a swap of two columns is proposed, too, where no
             fact is violated but more can be compared after it, and all of that is as it should be.
+        time_column: What the column of the time is called in the table, where the rig file does not say so.
 
     Returns:
         One doubt for each recording with an implausible figure; none for right data.
     """
+    if TIME not in rig.channels:
+        rig = rig.model_copy(update={"channels": {**rig.channels, TIME: Channel(column=time_column)}})
     several = len(record.begins) > 1
     found = [doubt for each in record.recordings() if (doubt := _doubt(each, rig, misfit)) is not None]
     return tuple(

@@ -58,12 +58,17 @@ class Messages:
 
 @dataclass(slots=True)
 class Contents:
-    """Everything that could be read. ``damage`` says in words what could not, empty when all could."""
+    """Everything that could be read. ``damage`` says in words what could not, empty when all could.
+
+    Of attachments of one name with different contents the first stands in ``attachments``, and the name in
+    ``ambiguous``.
+    """
 
     channels: dict[int, Channel] = field(default_factory=dict)
     messages: defaultdict[int, Messages] = field(default_factory=lambda: defaultdict(Messages))
     attachments: dict[str, bytes] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    ambiguous: set[str] = field(default_factory=set)
     damage: str = ""
 
 
@@ -116,7 +121,9 @@ def _take(contents: Contents, opcode: int, body: bytes, budget: Budget) -> None:
         _take_channel(contents, Channel.read(stream))
     elif opcode == Opcode.ATTACHMENT:
         attachment = Attachment.read(stream)
-        contents.attachments[attachment.name] = bytes(attachment.data)
+        data = bytes(attachment.data)
+        if contents.attachments.setdefault(attachment.name, data) != data:
+            contents.ambiguous.add(attachment.name)
     elif opcode == Opcode.METADATA:
         metadata = Metadata.read(stream)
         contents.metadata[metadata.name] = metadata.metadata

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,9 @@ from labhil.recording.stamps import HOST_CLOCK, Stamps, in_time_of
 from labhil.rig import RigFile
 from labhil.signals import Batch, Direction, FloatArray, IntArray, Stream
 from labhil.terminal import printable_name
+
+IMPORT, TIME_COLUMN = "import", "time_column"
+"""The metadata of an imported table, and what its column of the time is called there."""
 
 LARGEST_SPEED = 1e6
 """Seconds of a device's world in one of the host, at most: no simulation is faster."""
@@ -128,7 +131,8 @@ class Recording:
     ``complete`` is False when the file has no end (its recorder was killed) or a part of it is damaged;
     ``damage`` then says what is missing. ``rig`` is the rig file that was attached, if one was. ``foreign``
     names the channels of other programs, with their encoding; their samples are not read. Where the file
-    holds several ``runs`` of one stream, this is one of them.
+    holds several ``runs`` of one stream, this is one of them. ``ambiguous`` names attachments of which it
+    holds several: a rig file among them is not used.
     """
 
     path: Path
@@ -142,6 +146,12 @@ class Recording:
     damage: str = ""
     foreign: tuple[str, ...] = ()
     runs: int = 1
+    ambiguous: tuple[str, ...] = ()
+
+    @property
+    def time_column(self) -> str:
+        """What the column of the time was called in the table that this was imported from; else "t"."""
+        return self.metadata.get(IMPORT, {}).get(TIME_COLUMN, "t")
 
     def of_device(self, name: str | None) -> Recording:
         """Return what this recording holds of one device, with that device's rig file; all of it for None.
@@ -157,7 +167,7 @@ class Recording:
                 f"found: {', '.join(map(printable_name, devices)) or 'no device at all'}"
             )
         streams = tuple(data for data in self.streams if data.device == name)
-        own = attached_rig(self.path, self.attachments, name)
+        own = attached_rig(self.path, _without(self.attachments, self.ambiguous), name)
         return replace(self, streams=streams, rig=self.rig if own is None else own)
 
     def stream_with(self, *names: str) -> StreamData:
@@ -198,6 +208,9 @@ class Recording:
     def losses(self) -> list[str]:
         """What is not as it should be, a line each: no end, damaged parts, lost samples, faulty clocks."""
         lines = [f"{self.path}: read as far as it goes: {self.damage}"] if self.damage else []
+        if self.ambiguous:
+            names = ", ".join(map(printable_name, self.ambiguous))
+            lines.append(f"{self.path}: holds several different attachments of one name: {names}")
         for data in self.streams:
             name = _shown(data.device, data.stream)[1:]
             counts = {
@@ -273,7 +286,7 @@ def _read(path: Path, run: int | None) -> Recording:
         path=path,
         sha256=hashlib.sha256(data).hexdigest(),
         streams=streams,
-        rig=attached_rig(path, contents.attachments),
+        rig=attached_rig(path, _without(contents.attachments, contents.ambiguous)),
         attachments=contents.attachments,
         metadata=contents.metadata,
         events=tuple(event for event in _events(contents, origin_ns, streams) if event.t_ns in span),
@@ -281,7 +294,12 @@ def _read(path: Path, run: int | None) -> Recording:
         damage=contents.damage,
         foreign=_foreign(contents),
         runs=max((len(topic) for topic in topics), default=1),
+        ambiguous=tuple(sorted(contents.ambiguous)),
     )
+
+
+def _without(attachments: Mapping[str, bytes], ambiguous: Collection[str]) -> dict[str, bytes]:
+    return {name: content for name, content in attachments.items() if name not in ambiguous}
 
 
 def _foreign(contents: Contents) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ from labhil.recording.bad_rows import WHY, bad_rows, finite_rows
 from labhil.recording.channel_keys import held_as_stated, with_channel_keys
 from labhil.recording.columns import read_columns
 from labhil.recording.formats.time_text import TimeKind
+from labhil.recording.reader import IMPORT, TIME_COLUMN
 from labhil.recording.rig_attachments import rig_attachments
 from labhil.recording.sheet import Mapped, Sheet
 from labhil.recording.slow_channels import fill_slow
@@ -47,6 +48,7 @@ class ImportedTable:
     that what was dropped is a hole in it. ``dropped`` counts bad rows by reason, ``outside`` for each
     limited signal the kept rows that lie outside its limits, and ``flagged`` (n,) marks these. ``notes`` say
     what served as the time, and how the rows came to be; ``first_bad`` quotes the first bad row by reason.
+    ``time_column`` is what the column of the time is called in the file, "" where there is none.
     """
 
     source: Path
@@ -63,6 +65,7 @@ class ImportedTable:
     flagged: Mask
     notes: tuple[str, ...] = ()
     first_bad: Mapping[str, str] = field(default_factory=dict)
+    time_column: str = ""
 
     def __len__(self) -> int:
         return len(self.row)
@@ -115,6 +118,7 @@ def import_table(data: Path, rig: RigFile) -> ImportedTable:
         flagged=flagged,
         notes=(*notes, *applied),
         first_bad=bad.first,
+        time_column=_name_of(sheet, clock),
     )
 
 
@@ -131,6 +135,7 @@ def write_import(table: ImportedTable, out: Path) -> Path:
         "rows": str(table.rows),
         "kept": str(len(table)),
         "time_origin": repr(table.time_origin),
+        **({TIME_COLUMN: table.time_column} if table.time_column else {}),
         **{f"dropped.{reason}": str(count) for reason, count in table.dropped.items()},
         **{f"outside_limits.{name}": str(count) for name, count in table.outside.items()},
         **{f"note.{number}": note for number, note in enumerate(table.notes)},
@@ -139,7 +144,7 @@ def write_import(table: ImportedTable, out: Path) -> Path:
         try:
             for name, content in rig_attachments(table.rig).items():
                 writer.attach(name, media_type(name), content)
-            writer.metadata("import", told)
+            writer.metadata(IMPORT, told)
             channel = writer.add_stream(table.rig.rig.kind, table.stream, {"source": table.source.name})
             writer.write(channel, Batch(table.row, t_ns, t_ns, table.values))
             writer.finish()
@@ -256,6 +261,11 @@ def _clock(sheet: Sheet) -> Clock | None:
             f"for t, or [table] rate (Hz) in {sheet.rig.path}; found {sheet.available()}"
         )
     return None
+
+
+def _name_of(sheet: Sheet, clock: Clock | None) -> str:
+    names = sheet.columns.names
+    return "" if clock is None or names is None else names[clock.mapped.columns[0]]
 
 
 def _ordered(sheet: Sheet, clock: Clock | None, taken: list[tuple[Mapped, FloatArray]]) -> Ordered:

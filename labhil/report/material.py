@@ -23,6 +23,7 @@ from labhil.physics.rigs import model_for, record_of
 from labhil.physics.several import several
 from labhil.physics.solenoid import SolenoidModel
 from labhil.recording.reader import Recording, read_recordings
+from labhil.recording.rig_attachments import rig_name
 from labhil.report.results import Source
 from labhil.report.still import constant
 from labhil.rig import RigFile, load_rig
@@ -85,7 +86,10 @@ class Material:
 
         Harder looked for where a model has a ``misfit``.
         """
-        return [doubt.statement for doubt in doubts_of(self.measured, self.rig, misfit=misfit)]
+        columns = {recording.time_column for recording, _, role in self.recordings if not role}
+        time = columns.pop() if len(columns) == 1 else "t"
+        found = doubts_of(self.measured, self.rig, misfit=misfit, time_column=time)
+        return [doubt.statement for doubt in found]
 
     def numbered(self) -> list[str]:
         """What the numbers of several recordings stand for, a line each; nothing of one."""
@@ -362,6 +366,11 @@ def rig_of(recording: Recording, rig_path: Path | None) -> RigFile:
     if rig_path is not None:
         return load_rig(rig_path)
     if recording.rig is None:
+        if rig_name() in recording.ambiguous:
+            raise RecordingError(
+                f"{recording.path}: expected one rig file, found several that differ, as in files that were "
+                "merged; say which one holds with --rig RIG.toml"
+            )
         damage = f" ({recording.damage})" if recording.damage else ""
         raise RecordingError(f"{recording.path}: carries no rig file{damage}; give one with --rig RIG.toml")
     return recording.rig

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -46,7 +47,7 @@ def scaled(record: Record, *, t: float = 1.0, **factors: float) -> Record:
     return replace(record, t=t * record.t, inputs=inputs, outputs=outputs)
 
 
-def lines(record: Record, kind: str, known: str = "", **how: bool) -> tuple[str, ...]:
+def lines(record: Record, kind: str, known: str = "", **how: Any) -> tuple[str, ...]:
     found = doubts_of(record, rig_of(kind, known), **how)
     return tuple(line for doubt in found for line in doubt.lines)
 
@@ -63,6 +64,11 @@ def lines(record: Record, kind: str, known: str = "", **how: bool) -> tuple[str,
 )
 def test_units_of_a_ball_on_a_beam_show_by_gravity_and_lengths(ball, factors, expected):
     assert lines(scaled(ball, **factors), "ball_beam", BEAM) == (expected,)
+
+
+def test_a_column_of_the_time_is_called_what_it_is_called_in_the_table(ball):
+    found = lines(scaled(ball, t=1e3), "ball_beam", BEAM, time_column="Time [s]")
+    assert found == ('t = { column = "Time [s]", scale = 0.001 }',)
 
 
 def test_two_wrong_units_at_once_are_both_found(ball):

@@ -149,3 +149,16 @@ def test_what_may_be_zero_or_negative_is_a_property_of_each_parameter(case):
         return
     with pytest.raises(RigFileError, match=f"known.{name} must be {expected}, found {value}"):
         parse_rig(text, Path("rig.toml"))
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ("[known]\nball_mass = true\n", "ball_mass: expected a number, found true"),
+        ("[nominal]\nball_mass = -1.0\n", "nominal.ball_mass must be a positive number, found -1.0"),
+        ("[nominal]\nviscous_friction.coefficient = false\n", "expected a number, found false"),
+    ],
+)
+def test_what_is_no_size_is_refused_in_nominal_too(lines, message):
+    with pytest.raises(RigFileError, match=message):
+        parse_rig(f'[rig]\nkind = "ball_beam"\n{lines}', Path("rig.toml"))

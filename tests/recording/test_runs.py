@@ -13,6 +13,7 @@ from labhil.errors import RecordingError
 from labhil.recording import RecordingWriter, read_recording
 from labhil.recording.recover import recover
 from labhil.recording.runs import MixedRunsError, order_of
+from labhil.report.material import rig_of
 from labhil.signals import Batch
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -28,7 +29,7 @@ def another_boot(count):
     return Batch(one.seq, one.t_acq_ns + LATER_NS, one.t_hw_ns, one.values + 100.0)
 
 
-def merged(path, *channels, event_at=()):
+def merged(path, *channels, event_at=(), rigs=(RIG,)):
     """A file with a channel of the topic for each list of samples, written in their order."""
     with RecordingWriter(path.with_name("pattern.mcap")) as pattern:
         pattern.add_stream("bench", STATE)
@@ -37,7 +38,8 @@ def merged(path, *channels, event_at=()):
     with path.open("wb") as file:
         writer = Writer(file, chunk_size=2000)
         writer.start()
-        writer.add_attachment(0, 0, "rig.toml", "application/toml", RIG.encode())
+        for rig in rigs:
+            writer.add_attachment(0, 0, "rig.toml", "application/toml", rig.encode())
         schema = writer.register_schema(CODEC.schema_name, "protobuf", CODEC.descriptor_set())
         for number, samples in enumerate(channels):
             told = {**metadata, "source": str(number)}
@@ -158,3 +160,20 @@ def test_runs_that_are_shuffled_into_one_channel_are_refused(tmp_path):
     with pytest.raises(RecordingError, match=r"/bench/state: .*found 300 of 600 .*nothing tells them apart"):
         read_recording(path)
     assert any("left as it stood" in line for line in recover(path, tmp_path / "b.mcap").lines())
+
+
+def test_of_rig_files_that_differ_none_is_taken_unless_one_is_given(tmp_path):
+    path = merged(tmp_path / "a.mcap", batch(0, 300), rigs=(RIG, RIG + "\n[metric]\nhorizon = 2.0\n"))
+    recording = read_recording(path)
+    assert recording.rig is None
+    assert "several different attachments of one name: rig.toml" in recording.losses()[0]
+    with pytest.raises(RecordingError, match="expected one rig file, found several that differ"):
+        rig_of(recording, None)
+    given = tmp_path / "given.toml"
+    given.write_text(RIG, encoding="utf-8")
+    assert rig_of(recording, given).text == RIG
+
+
+def test_the_same_rig_file_twice_is_one(tmp_path):
+    recording = read_recording(merged(tmp_path / "a.mcap", batch(0, 300), rigs=(RIG, RIG)))
+    assert recording.rig is not None and not recording.losses()
