@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 import subprocess
 import sys
@@ -117,3 +118,20 @@ def isolated(code: str, directory: Path) -> subprocess.CompletedProcess[str]:
     """Run code with nothing on the path but what is installed."""
     command = [sys.executable, "-I", "-c", code]
     return subprocess.run(command, cwd=directory, capture_output=True, text=True, check=False)
+
+
+def test_everything_that_is_printed_goes_through_the_one_way_out() -> None:
+    printed = []
+    for path in [
+        file for room in ("labhil", "drivers", "sim_drivers") for file in (ROOT / room).rglob("*.py")
+    ]:
+        if path == ROOT / "labhil" / "terminal.py":
+            continue
+        calls = [
+            node
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+            if isinstance(node, ast.Call)
+        ]
+        names = [(call.lineno, call.func.id) for call in calls if isinstance(call.func, ast.Name)]
+        printed += [f"{path.relative_to(ROOT)}:{line}" for line, name in names if name == "print"]
+    assert not printed, "expected labhil.terminal's show or complain, found print( in " + ", ".join(printed)

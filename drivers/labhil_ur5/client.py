@@ -24,6 +24,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from labhil.terminal import complain
 from labhil_ur5.declared import COMMAND_TIMEOUT, DIGITAL_OUTPUTS
 from labhil_ur5.player import Player, TooFastError
 
@@ -232,7 +233,7 @@ def main() -> int:
         return 3
     except LostError as error:
         # whoever watches this process has the program stopped; the library's own end may hang
-        print(error, file=sys.stderr, flush=True)
+        complain(error)
         os._exit(LOST)
     return 0
 

@@ -14,6 +14,7 @@ from labhil.errors import LabhilError
 from labhil.experiment.interruption import Interruption
 from labhil.experiment.lab import Lab, load_lab
 from labhil.experiment.lab_service import LabService, folder_of
+from labhil.terminal import show
 
 LOOK = 0.3
 """How often the worker looks for something to do, s."""
@@ -31,7 +32,7 @@ def serve_lab(
     place = folder_of(lab, folder if folder is not None or config is not None else Path())
     endpoint = None if connect is None else check_loopback(connect)
     with Interruption() as interrupted, open_bus(endpoint) as bus:
-        print(bus.endpoint, flush=True)
+        show(bus.endpoint)
         worker = Worker(place, lab.lab.analyse, bus, say)
         done = threading.Event()
         at_work = threading.Thread(target=_work, args=(worker, done, say), name="worker")

@@ -138,7 +138,7 @@ def fit(
     with status() as say, ending_early() as deadline:
         options = Options(window, method, simultaneous, estimator_named(estimator), seed, say, small)
         result = fit_study(material, terms=split_names(names), start=model, options=options)
-    notes = [*fault_lines(material.faults()), *result.doubts, *material.numbered()]
+    notes = [*fault_lines(result.faults), *result.doubts, *material.numbered()]
     notes += [*material.notes(), *curve_note(model)]
     with early_line(result.fit.complete, deadline, json_path):
         deliver(result.json, json_path, lambda: show_fit(result.fit, results_console(), notes))

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from labhil.doctor.finding import Finding, broken, fine
+from labhil.terminal import complain, show
 
 TIMEOUT = 120.0
 """s; the first compilation on a slow machine takes some."""
@@ -154,7 +155,7 @@ PROBES: Mapping[str, Callable[[], str]] = {
 
 if __name__ == "__main__":
     try:
-        print(PROBES[sys.argv[1]]())
+        show(PROBES[sys.argv[1]]())
     except Exception as trouble:  # noqa: BLE001 - whatever a library raises is what was found
-        print(f"{type(trouble).__name__}: {trouble}", file=sys.stderr)
+        complain(f"{type(trouble).__name__}: {trouble}")
         sys.exit(1)

@@ -12,6 +12,7 @@ from enum import StrEnum
 from types import MappingProxyType
 
 from labhil.errors import CommandRefusedError
+from labhil.terminal import show
 
 
 class RunState(StrEnum):
@@ -184,4 +185,4 @@ def mermaid() -> str:
 
 
 if __name__ == "__main__":
-    print(mermaid())
+    show(mermaid())

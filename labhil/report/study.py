@@ -10,6 +10,7 @@ from typing import Any
 
 from labhil.diagnose.answer import Diagnosis
 from labhil.diagnose.diagnosis import SEARCH, diagnose
+from labhil.diagnose.fault import Fault
 from labhil.errors import UnknownNameError, UsageError
 from labhil.identify.fit import Fit, Options, fit
 from labhil.identify.further_channels import with_help
@@ -27,12 +28,13 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class FitResult:
-    """A fit with its JSON; ``doubts`` say what is implausible in the data."""
+    """A fit with its JSON; ``doubts`` say what is implausible in the data, ``faults`` what is wrong."""
 
     fit: Fit
     material: Material
     json: Any
     doubts: Sequence[str] = ()
+    faults: Sequence[Fault] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,9 +80,10 @@ def fit_study(
     seconds = time.perf_counter() - began
     sources = material.sources("train")
     data = fit_json(result, sources, model.kind, how.estimator, how.seed, seconds, curves_json(model))
-    data["faults"] = [asdict(fault) for fault in material.faults()]
+    faults = material.faults()
+    data["faults"] = [asdict(fault) for fault in faults]
     doubts = material.doubts(misfit=not result.adequacy.explained)
-    return FitResult(result, material, {**data, "doubts": doubts}, doubts)
+    return FitResult(result, material, {**data, "doubts": doubts}, doubts, faults)
 
 
 def _with_own(model: Model, terms: Sequence[str], *, stated: bool) -> tuple[str, ...]:
@@ -138,7 +141,13 @@ def _reference_values(material: Material, reference: Path | None) -> Mapping[str
         return for_every_recording(material.model, values_of(reference))
     known = index_of(material.model.parameters)
     nominal = for_every_recording(material.model, material.rig.nominal)
-    for name in nominal:
+    for name, value in nominal.items():
         if name not in known:
             raise UnknownNameError(f"{material.rig.path}: [nominal] parameter", name, known)
+        parameter = material.model.parameters[known[name]]
+        if not parameter.lower <= value <= parameter.upper:
+            raise UsageError(
+                f"{material.rig.path}: [nominal] {name}: expected {parameter.lower:g} to {parameter.upper:g} "
+                f"{parameter.unit}, found {value:g}"
+            )
     return nominal or None

@@ -30,6 +30,7 @@ from labhil.plugins import load_driver
 from labhil.service.control import DeviceControl
 from labhil.service.messages import HostConfig, HostState
 from labhil.service.reconnect import Search
+from labhil.terminal import show
 
 SEARCH_LOOK = 0.1
 """How often a host that looks for its device looks whether it is to end, s."""
@@ -137,7 +138,7 @@ def announce_failure(bus: Bus, device: str, error: LabhilError, counters: Counte
 def say(data: dict[str, Any]) -> None:
     """Write one line for the parent, who may be gone."""
     with contextlib.suppress(OSError):
-        print(json.dumps(data), flush=True)
+        show(json.dumps(data))
 
 
 def main() -> int:

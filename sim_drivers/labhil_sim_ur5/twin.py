@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from dataclasses import replace
 
 from labhil.driver import ReadyCallback, TwinOptions
+from labhil.terminal import complain
 
 
 class Ur5Twin:
@@ -80,7 +80,7 @@ class Ur5Twin:
 
 def tell(message: str) -> None:
     """Say something to whoever started the twin."""
-    print(message, file=sys.stderr, flush=True)
+    complain(message)
 
 
 TWIN = Ur5Twin()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from itertools import count as count_up
 
 import numpy as np
 import pytest
@@ -151,6 +152,15 @@ def test_a_wrong_order_is_refused(tmp_path, changed, error):
 def test_answers_within_reach_of_a_diagnosis_are_refused(tmp_path):
     with pytest.raises(UsageError, match="outside"):
         make_trials(Order("axis", 1, "1", tmp_path / "a", tmp_path / "a" / "answers"), 1, silent)
+
+
+def test_a_trial_is_the_same_bytes_however_long_a_loaded_machine_takes(tmp_path, monkeypatch):
+    order = Order("axis", 1, "0", tmp_path / "a", tmp_path / "b", 4)
+    at_once = make_trials(order, 1, silent)
+    hours = count_up(step=3600.0)
+    monkeypatch.setattr("labhil.recording.writer.time.monotonic", lambda: next(hours))
+    late = make_trials(replace(order, out=tmp_path / "c", answers=tmp_path / "d"), 1, silent)
+    assert late.trials[0].recordings == at_once.trials[0].recordings
 
 
 def test_making_goes_on_where_it_was_interrupted(tmp_path):

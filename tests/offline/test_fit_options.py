@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import json
 
+from typer.testing import CliRunner
+
+from labhil.cli import app
+from labhil.diagnose.timing import all_faults
+
 TERMS = ("--terms", "viscous_friction", "--window", "1", "--estimator", "nlse")
 
 
@@ -31,3 +36,17 @@ def test_criteria_that_a_rig_does_not_have_are_refused(labhil, shipped):
     unknown = labhil("fit", recording, *TERMS, "--criterion", "inverse_dynamic").refused()
     assert "did you mean 'inverse_dynamics'" in unknown
     assert "0 to hold nothing out" in labhil("fit", recording, *TERMS, "--holdout", "0.01").refused()
+
+
+def test_a_fit_looks_for_faults_of_the_data_once(monkeypatch, shipped):
+    looks = []
+
+    def counted(*what):
+        looks.append(what)
+        return all_faults(*what)
+
+    monkeypatch.setattr("labhil.report.material.all_faults", counted)
+    recording = shipped / "ball_beam_identify.mcap"
+    done = CliRunner().invoke(app, ["fit", str(recording), *TERMS, "--span", "0", "20"])
+    assert done.exit_code == 0, done.output
+    assert len(looks) == 1

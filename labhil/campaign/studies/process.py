@@ -16,6 +16,7 @@ from typing import Any
 
 from labhil.errors import BusError
 from labhil.service.child import Child
+from labhil.terminal import show
 
 OnLine = Callable[[dict[str, Any]], object]
 LISTEN = 1.0
@@ -78,7 +79,7 @@ class Helper:
 def say(line: Mapping[str, Any]) -> None:
     """Write a line, from within a helper; nobody reads it where whoever asked is gone."""
     try:
-        print(json.dumps(line, allow_nan=False), flush=True)
+        show(json.dumps(line, allow_nan=False))
     except OSError:
         return
 
