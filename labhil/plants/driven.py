@@ -71,8 +71,11 @@ def kernel_for(push: Callable[..., Any], remember: Callable[..., Any], rig: str)
 
 
 def packed(numbers: Any) -> Any:
-    """A named tuple of numbers as one record, which kernels hand on as a whole."""
-    kinds = [(name, type(value)) for name, value in zip(numbers._fields, numbers, strict=True)]
+    """A named tuple of numbers, and of arrays of them, as one record, which kernels hand on as a whole."""
+    kinds = [
+        (name, value.dtype, value.shape) if isinstance(value, np.ndarray) else (name, type(value))
+        for name, value in zip(numbers._fields, numbers, strict=True)
+    ]
     return np.array([tuple(numbers)], dtype=kinds)[0]
 
 

@@ -1,39 +1,208 @@
-"""A magnet's measured forces in the place of the stated ones."""
+"""A magnet's measured forces in the place of the stated ones: a table, used as it is given.
+
+Between its points the force is the tensor product of cubic splines through them; beyond its edges it goes on
+straight, with the slope that it has there. The spline is kept as its knots and coefficients, as FITPACK makes
+them, in one array of fixed length, so that a kernel is compiled once for all tables.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import RBFInterpolator, RectBivariateSpline
 
+from labhil.compiled import compiled
 from labhil.errors import UsageError
-from labhil.plants.solenoid_world import FORCE_MAP, STROKE
+from labhil.signals import FloatArray
 
 COLUMNS = ("coil_current", "plunger_position", "magnetic_force")
 
+MOST = 100
+"""Nodes in a direction: a finer table is brought to as many at equal distances."""
 
-def force_map_of(path: Path) -> Mapping[str, float]:
-    """The plant's ``force_map_…`` numbers for a CSV file.
+ACROSS = 33
+"""Nodes in each direction of the grid that points on no grid are brought to."""
 
-    Its columns are coil_current (A), plunger_position (m) and magnetic_force (N). The numbers are a
-    polynomial of third order, without force where there is no current, by least squares. UsageError
-    when the file cannot be read, or does not determine the polynomial.
+FEWEST = 6
+"""Points: a plane and its curvature."""
+
+NEIGHBOURS = 64
+"""Points next to a node that tell its force where there are very many more."""
+
+DEGREE_I, DEGREE_X, KNOTS_I, KNOTS_X = 0, 1, 2, 3
+FIRST_I = 4
+FIRST_X = FIRST_I + MOST + 4
+FIRST = FIRST_X + MOST + 4
+LENGTH = FIRST + MOST * MOST
+"""Places in the array: degrees, numbers of knots (0: no table), knots, and the coefficients, row by row."""
+
+
+def no_table() -> FloatArray:
+    """The array of a magnet that has no table, (LENGTH,)."""
+    return np.zeros(LENGTH)
+
+
+def force_map_of(path: Path) -> FloatArray:
+    """The spline, (LENGTH,), through a CSV file's forces.
+
+    Its columns are coil_current (A), plunger_position (m) and magnetic_force (N). Points on no grid are
+    brought to one by a thin plate; a table that begins above 0 A gets the force without current, which is
+    none. UsageError when the file cannot be read, or does not span an area.
     """
     try:
-        header = [name.strip() for name in path.read_text(encoding="utf-8").split("\n", 1)[0].split(",")]
+        header = [name.strip() for name in path.read_text(encoding="utf-8-sig").split("\n", 1)[0].split(",")]
         places = [header.index(name) for name in COLUMNS]
         i, x, force = np.loadtxt(path, delimiter=",", skiprows=1, usecols=places, ndmin=2).T
     except (OSError, ValueError) as error:
         expected = ", ".join(COLUMNS)
         raise UsageError(f"{path}: expected a CSV file with the columns {expected}: {error}") from error
-    powers = [(int(name[-2]), int(name[-1])) for name in FORCE_MAP]
-    columns = np.column_stack([i**a * (x / STROKE) ** b for a, b in powers])
-    few = len(force) < len(powers) or not np.all(np.isfinite([i, x, force]))
-    if few or np.linalg.matrix_rank(columns) < len(powers):
+    sensible = len(force) >= FEWEST and bool(np.all(np.isfinite([i, x, force])))
+    if not sensible or len(np.unique(i)) < 2 or len(np.unique(x)) < 2:
         raise UsageError(
-            f"{path}: expected finite forces at three currents and three positions at least, to determine"
-            f" {len(powers)} numbers; found {len(force)} rows that do not"
+            f"{path}: expected finite forces at {FEWEST} points at least, of two currents and two positions "
+            f"or more; found {len(force)} rows that are not"
         )
-    factors, *_ = np.linalg.lstsq(columns, force, rcond=None)
-    return dict(zip(FORCE_MAP, factors.tolist(), strict=True))
+    if i.min() > 0.0:
+        edge = np.unique(x)
+        i, x, force = (np.r_[a, b] for a, b in ((i, 0.0 * edge), (x, edge), (force, 0.0 * edge)))
+    nodes = _on_a_grid(i, x, force)
+    try:
+        current, position, table = nodes if nodes is not None else _plate(i, x, force)
+    except (ValueError, np.linalg.LinAlgError) as error:
+        raise UsageError(f"{path}: expected points at least that span an area: {error}") from error
+    return _packed(current, position, table)
+
+
+def _on_a_grid(
+    i: FloatArray, x: FloatArray, force: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Nodes (n,) and (m,) with the mean force at each (n, m); None where one of them has no point."""
+    current, position = np.unique(i), np.unique(x)
+    place = np.searchsorted(current, i) * len(position) + np.searchsorted(position, x)
+    count = np.bincount(place, minlength=len(current) * len(position))
+    if np.any(count == 0):
+        return None
+    total = np.bincount(place, force, minlength=len(count))
+    return current, position, (total / count).reshape(len(current), len(position))
+
+
+def _plate(i: FloatArray, x: FloatArray, force: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A thin plate through scattered points, at the nodes of a grid."""
+    size = np.array([np.ptp(i), np.ptp(x)])
+    points, same = np.unique(np.column_stack([i, x]), axis=0, return_inverse=True)
+    values = np.bincount(same.ravel(), force) / np.bincount(same.ravel())
+    current, position = np.linspace(i.min(), i.max(), ACROSS), np.linspace(x.min(), x.max(), ACROSS)
+    nodes = np.array([(one, other) for one in current for other in position])
+    many = NEIGHBOURS if len(values) > 20 * NEIGHBOURS else None
+    plate = RBFInterpolator(points / size, values, neighbors=many)
+    return current, position, plate(nodes / size).reshape(ACROSS, ACROSS)
+
+
+def _packed(current: FloatArray, position: FloatArray, table: FloatArray) -> FloatArray:
+    if max(table.shape) > MOST:
+        spline = _spline(current, position, table)
+        current, position = (np.linspace(a[0], a[-1], min(len(a), MOST)) for a in (current, position))
+        table = spline(current, position)
+    spline = _spline(current, position, table)
+    knots_i, knots_x, coefficients = spline.tck
+    packed = no_table()
+    packed[:FIRST_I] = *spline.degrees, len(knots_i), len(knots_x)
+    packed[FIRST_I : FIRST_I + len(knots_i)] = knots_i
+    packed[FIRST_X : FIRST_X + len(knots_x)] = knots_x
+    packed[FIRST : FIRST + len(coefficients)] = coefficients
+    return packed
+
+
+def _spline(current: FloatArray, position: FloatArray, table: FloatArray) -> RectBivariateSpline:
+    along, across = (min(3, n - 1) for n in table.shape)
+    return RectBivariateSpline(current, position, table, kx=along, ky=across, s=0)
+
+
+Four = tuple[float, float, float, float]
+
+
+@compiled
+def _span(value: float, first: int, knots: int, degree: int, s: FloatArray) -> int:
+    """The interval that holds a value within the knots: the number of its left one."""
+    low, high = degree, knots - degree - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if value < s[first + middle]:
+            high = middle
+        else:
+            low = middle
+    return low
+
+
+@compiled
+def _basis(value: float, first: int, left: int, degree: int, s: FloatArray) -> Four:
+    """The splines of a degree that are not zero in the interval, in their order (de Boor's recursion)."""
+    a, b, c, d = 1.0, 0.0, 0.0, 0.0
+    for k in range(1, degree + 1):
+        new = (0.0, 0.0, 0.0, 0.0)
+        old = (a, b, c, d)
+        w, x, y, z = new
+        for r in range(k):
+            low, high = s[first + left + 1 + r - k], s[first + left + 1 + r]
+            part = old[r] / (high - low) if high > low else 0.0
+            falls, climbs = part * (high - value), part * (value - low)
+            if r == 0:
+                w, x = w + falls, x + climbs
+            elif r == 1:
+                x, y = x + falls, y + climbs
+            else:
+                y, z = y + falls, z + climbs
+        a, b, c, d = w, x, y, z
+    return a, b, c, d
+
+
+@compiled
+def _rises(value: float, first: int, left: int, degree: int, s: FloatArray) -> Four:
+    """Their slopes."""
+    p, q, r, _ = _basis(value, first, left, degree - 1, s)
+    lower = (p, q, r)
+    a, b, c, d = 0.0, 0.0, 0.0, 0.0
+    for k in range(degree):
+        wide = s[first + left + 1 + k] - s[first + left + 1 + k - degree]
+        part = degree * lower[k] / wide if wide > 0.0 else 0.0
+        if k == 0:
+            a, b = a - part, b + part
+        elif k == 1:
+            b, c = b - part, c + part
+        else:
+            c, d = c - part, d + part
+    return a, b, c, d
+
+
+@compiled
+def _sum(
+    by_i: Four, by_x: Four, left_i: int, left_x: int,
+    s: FloatArray,
+) -> float:  # fmt: skip
+    along, across = int(s[DEGREE_I]), int(s[DEGREE_X])
+    wide, total = int(s[KNOTS_X]) - across - 1, 0.0
+    for m in range(along + 1):
+        row = FIRST + (left_i - along + m) * wide + left_x - across
+        inner = 0.0
+        for n in range(across + 1):
+            inner += by_x[n] * s[row + n]
+        total += by_i[m] * inner
+    return total
+
+
+@compiled
+def mapped_force(i: float, x: float, s: FloatArray) -> tuple[float, float]:
+    """Force (N) and its slope by the current (N/A), at a field current (A) and a position (m)."""
+    along, across = int(s[DEGREE_I]), int(s[DEGREE_X])
+    low_i, high_i = s[FIRST_I + along], s[FIRST_I + int(s[KNOTS_I]) - along - 1]
+    low_x, high_x = s[FIRST_X + across], s[FIRST_X + int(s[KNOTS_X]) - across - 1]
+    near_i, near_x = min(max(i, low_i), high_i), min(max(x, low_x), high_x)
+    left_i = _span(near_i, FIRST_I, int(s[KNOTS_I]), along, s)
+    left_x = _span(near_x, FIRST_X, int(s[KNOTS_X]), across, s)
+    by_i, by_x = _basis(near_i, FIRST_I, left_i, along, s), _basis(near_x, FIRST_X, left_x, across, s)
+    per_current = _sum(_rises(near_i, FIRST_I, left_i, along, s), by_x, left_i, left_x, s)
+    force = _sum(by_i, by_x, left_i, left_x, s) + (i - near_i) * per_current
+    if x != near_x:
+        force += (x - near_x) * _sum(by_i, _rises(near_x, FIRST_X, left_x, across, s), left_i, left_x, s)
+    return force, per_current

@@ -10,6 +10,7 @@ import numpy as np
 
 from labhil.compiled import compiled
 from labhil.plants.driven import Drive, kernel_for
+from labhil.plants.force_map import mapped_force, no_table
 from labhil.plants.friction import Friction
 from labhil.plants.input_path import InputPath
 from labhil.plants.mover import INNER, SENSOR, Body, V, Work, X
@@ -55,10 +56,12 @@ class Plunger(NamedTuple):
     map_20: float
     map_21: float
     map_30: float
+    mapped: bool
+    table: FloatArray
 
     @classmethod
-    def of(cls, p: Mapping[str, float]) -> Plunger:
-        """Pick them out of a plant's parameters."""
+    def of(cls, p: Mapping[str, float], table: FloatArray | None) -> Plunger:
+        """Pick them out of a plant's parameters; a ``table`` takes the place of the stated magnet."""
         return cls(
             spring=p["spring_stiffness"],
             hardening=p.get("spring_hardening.coefficient", 0.0),
@@ -88,12 +91,16 @@ class Plunger(NamedTuple):
             map_20=p["force_map_20"],
             map_21=p["force_map_21"],
             map_30=p["force_map_30"],
+            mapped=table is not None,
+            table=no_table() if table is None else table,
         )
 
 
 @compiled
 def magnet_force(i: float, x: float, m: Plunger) -> float:
     """Force (N) at field current ``i`` (A) and position ``x`` (m)."""
+    if m.mapped:
+        return mapped_force(i, x, m.table)[0]
     y = x / STROKE
     linear = m.map_10 + m.map_11 * y + m.map_12 * y * y
     return i * (linear + i * (m.map_20 + m.map_21 * y + m.map_30 * i))
@@ -102,6 +109,8 @@ def magnet_force(i: float, x: float, m: Plunger) -> float:
 @compiled
 def force_per_current(i: float, x: float, m: Plunger) -> float:
     """∂F/∂i of the magnet, N/A; what a moving plunger induces, V·s/m."""
+    if m.mapped:
+        return mapped_force(i, x, m.table)[1]
     y = x / STROKE
     linear = m.map_10 + m.map_11 * y + m.map_12 * y * y
     return linear + i * (2.0 * m.map_20 + 2.0 * m.map_21 * y + 3.0 * m.map_30 * i)
@@ -175,7 +184,8 @@ class SolenoidPlant:
     """The world of one solenoid; it is made of the effects in ``terms`` and of nothing else.
 
     ``parameters`` overrides defaults by name (SI); ``seed`` fixes the noise; ``period`` is the time (s)
-    between samples. Begins at rest at the lower stop, without current.
+    between samples; ``force_map`` a magnet's measured forces (``plants.force_map``) in the place of the
+    stated ones. Begins at rest at the lower stop, without current.
     """
 
     def __init__(
@@ -184,6 +194,7 @@ class SolenoidPlant:
         terms: Iterable[str] = (),
         seed: int = 0,
         period: float = 0.001,
+        force_map: FloatArray | None = None,
     ) -> None:
         self.terms = tuple(terms)
         self.parameters = p = SOLENOID.resolve(self.terms, parameters or {})
@@ -191,7 +202,7 @@ class SolenoidPlant:
         lag, sensor_lag = (p.get(f"{name}.time_constant", 0.0) for name in ("actuator_lag", "sensor_lag"))
         bounces = p.get("end_stop_contact.restitution", 0.0)
         body = Body(p["moving_mass"], p["stop_low"], p["stop_high"], bounces, lag, sensor_lag, X, SMALL)
-        self._plunger = Plunger.of(p)
+        self._plunger = Plunger.of(p, force_map)
         stamps, inner = Stamps(p, period, seed), (0.0, 0.0, p["ambient"])
         self.drive = Drive(p, run, self._plunger, body, stamps, False, p["stop_low"], inner)
         step = p.get("quantisation.step", 0.0)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 
 from labhil.driver import TwinOptions
 from labhil.errors import UnknownNameError, UsageError
 from labhil.plants.world import World
+from labhil.signals import FloatArray
 
 WIRES = ("pty", "tcp")
 
@@ -77,7 +78,10 @@ def settable_world(
 
 @dataclass(frozen=True, slots=True)
 class TwinSettings:
-    """A checked :class:`TwinOptions`: ``terms`` and ``plant`` make the plant, the rest what is around it."""
+    """A checked :class:`TwinOptions`: ``terms`` and ``plant`` make the plant, the rest what is around it.
+
+    ``tables`` are measured maps by name, as the plant takes them.
+    """
 
     seed: int
     speed: float
@@ -85,6 +89,7 @@ class TwinSettings:
     plant: Mapping[str, float]
     device: Mapping[str, float]
     wire: WireSettings
+    tables: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @classmethod
     def of(cls, options: TwinOptions, settable: Settable) -> TwinSettings:
@@ -115,7 +120,8 @@ class TwinSettings:
         """What the twin is made of, as JSON data: the answer to the riddle that its recordings pose."""
         wire = {name: getattr(self.wire, name) for name in WIRE_PARAMETERS}
         parameters = {**self.plant, **self.device, **wire}
-        return {"terms": list(self.terms), "parameters": parameters, "seed": self.seed}
+        told = {"terms": list(self.terms), "parameters": parameters, "seed": self.seed}
+        return told | ({"tables": list(self.tables)} if self.tables else {})
 
 
 def _checked(wire: WireSettings) -> WireSettings:

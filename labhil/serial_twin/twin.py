@@ -13,6 +13,7 @@ from labhil.errors import UnknownNameError, UsageError
 from labhil.serial_twin.bench import Bench, SimulatedRig
 from labhil.serial_twin.settings import Settable, TwinSettings
 from labhil.serial_twin.wires import open_wire
+from labhil.signals import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +25,7 @@ class SerialTwin:
     stands still. The watchdog's 0.3 s are the host's, whatever the speed.
 
     ``effects`` are what the plant can carry, each with one line about it; ``make`` builds the plant and
-    compiles it; ``tables`` turn files into parameters.
+    compiles it; ``tables`` read the files that take the place of some of its numbers.
     """
 
     name: str
@@ -33,7 +34,7 @@ class SerialTwin:
     effects: Mapping[str, str]
     settable: Settable
     make: Callable[[TwinSettings], SimulatedRig]
-    tables: Mapping[str, Callable[[Path], Mapping[str, float]]] = field(default_factory=dict)
+    tables: Mapping[str, Callable[[Path], FloatArray]] = field(default_factory=dict)
 
     def terms(self) -> Mapping[str, str]:
         """Names of the effects that the plant can carry, each with one line about it."""
@@ -48,7 +49,7 @@ class SerialTwin:
 
         Raises UsageError or UnknownNameError for options that make no twin, before anything is opened.
         """
-        settings = TwinSettings.of(self._with_tables(options), self.settable)
+        settings = replace(TwinSettings.of(options, self.settable), tables=self._tables(options))
         if options.answer is not None:
             write_answer(options.answer, settings)
         with Ending() as ending:
@@ -60,14 +61,17 @@ class SerialTwin:
             finally:
                 wire.close()
 
-    def _with_tables(self, options: TwinOptions) -> TwinOptions:
-        """The options with what stands in tables among the parameters; ``--set`` has the last word."""
-        told: dict[str, float] = {}
+    def _tables(self, options: TwinOptions) -> dict[str, FloatArray]:
+        """What stands in the files; UsageError where a number is set, too, that a table replaces."""
+        found = {}
         for name, path in options.tables.items():
             if name not in self.tables:
                 raise UnknownNameError("table", name, self.tables)
-            told |= self.tables[name](path)
-        return replace(options, parameters={**told, **options.parameters})
+            for other in options.parameters:
+                if other.startswith(f"{name}_"):
+                    raise UsageError(f"expected {other} or a table for {name}, found both")
+            found[name] = self.tables[name](path)
+        return found
 
 
 def write_answer(path: Path, settings: TwinSettings) -> None:

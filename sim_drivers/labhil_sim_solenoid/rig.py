@@ -69,7 +69,8 @@ class SolenoidBench:
         settings, device, plant = self._settings, self._settings.device, self._settings.plant
         seed = settings.seed + 7919 * self._begun
         self._begun += 1
-        self._plant = SolenoidPlant(plant, settings.terms, seed, self._period)
+        table = settings.tables.get("force_map")
+        self._plant = SolenoidPlant(plant, settings.terms, seed, self._period, table)
         self._loop = CurrentLoop(
             plant["coil_inductance"],
             plant["loop_time"],

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 
-from labhil.plants.force_map import force_map_of
 from labhil.plants.solenoid_world import SOLENOID
 from labhil.serial_twin.bench import SimulatedRig
 from labhil.serial_twin.settings import TwinSettings, check_range, check_whole, settable_world
 from labhil.serial_twin.twin import SerialTwin
+from labhil.signals import FloatArray
 
 
 def check(device: Mapping[str, float]) -> None:
@@ -29,6 +30,13 @@ def make(settings: TwinSettings) -> SimulatedRig:
     return SolenoidBench(settings)
 
 
+def force_map(path: Path) -> FloatArray:
+    """A magnet's measured forces; what interpolates them is loaded when somebody has some."""
+    from labhil.plants.force_map import force_map_of
+
+    return force_map_of(path)
+
+
 DEVICE: Mapping[str, float] = {
     "sample_rate": 1000.0,  # Hz
     "samples_per_frame": 5.0,
@@ -46,5 +54,5 @@ TWIN = SerialTwin(
     effects={name: effect.about for name, effect in SOLENOID.effects.items()},
     settable=settable_world(SOLENOID, ("viscous_friction", "coulomb_friction"), DEVICE, check),
     make=make,
-    tables={"force_map": force_map_of},
+    tables={"force_map": force_map},
 )
