@@ -60,7 +60,7 @@ class Plunger(NamedTuple):
     table: FloatArray
 
     @classmethod
-    def of(cls, p: Mapping[str, float], table: FloatArray | None) -> Plunger:
+    def of(cls, p: Mapping[str, float], table: FloatArray | None = None) -> Plunger:
         """Pick them out of a plant's parameters; a ``table`` takes the place of the stated magnet."""
         return cls(
             spring=p["spring_stiffness"],
