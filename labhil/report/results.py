@@ -136,7 +136,7 @@ def diagnosis_json(diagnosis: Diagnosis, sources: Sequence[Source]) -> Any:
             "p_value_floor": diagnosis.p_value_floor,
             "baseline": {"terms": list(diagnosis.baseline_terms), "parameters": _rows(diagnosis.baseline)},
             "changed": [asdict(change) for change in diagnosis.changed],
-            "collapsed": [asdict(size) for size in diagnosis.collapsed],
+            "collapsed": [{**asdict(size), "statement": size.statement} for size in diagnosis.collapsed],
             "location": None if diagnosis.location is None else _location(diagnosis.location),
             "missing": [{**asdict(item), "parameters": _rows(item.parameters)} for item in diagnosis.missing],
             "rivals": [asdict(rival) for rival in diagnosis.rivals],
@@ -216,7 +216,8 @@ def _before_and_after(before: Figures, after: Figures) -> dict[str, Any]:
 
 
 def _rows(estimates: Sequence[Estimate]) -> list[dict[str, Any]]:
-    return [asdict(row) for row in estimates]
+    """Rows of a table; what was held has no error of its own."""
+    return [{**asdict(row), "held": math.isnan(row.std_error)} for row in estimates]
 
 
 def finite(value: Any) -> Any:

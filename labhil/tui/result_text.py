@@ -102,6 +102,8 @@ def parameter_table(rows: Sequence[ParameterRow], colours: Colours) -> PlainTabl
 
 
 def _remark(row: ParameterRow, colours: Colours) -> Text:
+    if row.held:
+        return Text("○ held", style=colours["muted"])
     if not row.identifiable:
         return Text("▲ not identifiable", style=colours["warning"])
     if row.at_bound:
@@ -173,6 +175,8 @@ def diagnosis_text(found: DiagnosisPart, colours: Colours) -> RenderableType:
     head.append(f"{sign} {VERDICTS[found.verdict]}\n", style=f"bold {colours[colour]}")
     head.append(f"baseline {', '.join(listed(found.baseline.terms))}; ", style=colours["muted"])
     head.append(f"p {p_value(found.p_value)} that it suffices\n", style=colours["muted"])
+    for size in found.collapsed:
+        head.append(f"▲ {size.statement}\n", style=colours["warning"])
     for fault in found.faults:
         head.append(f"▲ {fault.statement}\n", style=colours["warning"])
     if found.location is not None:

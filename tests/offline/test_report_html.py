@@ -6,6 +6,7 @@ import io
 import json
 import re
 from collections import defaultdict
+from dataclasses import asdict
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from labhil.diagnose.collapsed import Collapsed
+from labhil.identify.statistics import stated
+from labhil.physics.terms import Parameter
 from labhil.recording.writer import RecordingWriter
 from labhil.report.html.diagnosis import diagnosis_page
 from labhil.report.html.element import tag
@@ -22,6 +26,7 @@ from labhil.report.html.picture import Album
 from labhil.report.html.quantity import chance, interval, percent, quantity
 from labhil.report.html.schema import DiagnosisPart, FitPart, checked
 from labhil.report.html.signals import STRETCHES, envelope
+from labhil.report.results import _rows, finite
 from labhil.report.verdicts import VERDICTS
 from labhil.signals import Batch, Direction, Signal, Stream
 from labhil.tui.result_text import result_renderable
@@ -219,6 +224,16 @@ def test_what_is_not_there_of_an_arm_stands_by_joint(page, diagnosis):
     told = ("Joint 0", "Joint 2", "torque_ripple", "0.035", "0.0058", "N·m", "torque_constant", "–", "0.0025")
     places = [table.index(said) for said in told]
     assert places == sorted(places)
+
+
+def test_page_and_screen_say_which_sizes_gave_way_and_which_were_held(page, diagnosis):
+    size = Collapsed("acceleration_per_radian", 0.019, 7.007, "m/s²")
+    diagnosis["collapsed"] = [{**asdict(size), "statement": size.statement}]
+    held = stated([Parameter("inertia", "kg·m²", 1.0)], np.array([0.02]), np.array([0.0]))
+    diagnosis["final"]["parameters"] += finite(_rows(held))
+    for text in (" ".join(on_screen(diagnosis).split()), page(diagnosis).text):
+        assert "takes acceleration_per_radian to 0.019 m/s², against a nominal 7.007 m/s²" in text
+        assert re.search(r"inertia.{0,80}held", text, re.DOTALL)
 
 
 def test_the_page_of_a_fit_says_what_the_fit_says(page, fit):

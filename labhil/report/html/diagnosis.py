@@ -55,6 +55,7 @@ def diagnosis_page(
         lead=_lead(diagnosis),
         sections=present(
             section("Faults of the data", *(tag("p", fault.statement) for fault in diagnosis.faults)),
+            section("Sizes that gave way", *(tag("p", size.statement) for size in diagnosis.collapsed)),
             section("What is missing", *(_missing(item, diagnosis.rivals) for item in diagnosis.missing)),
             _changed(diagnosis),
             _location(diagnosis.location),

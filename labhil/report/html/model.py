@@ -64,6 +64,8 @@ def _parameter(row: ParameterRow, reference: bool) -> list[Content]:
 
 def remark(row: ParameterRow) -> str:
     """What has to be known of an estimate beside its numbers."""
+    if row.held:
+        return "held"
     if not row.identifiable:
         return "not identifiable"
     found = ["at its bound"] if row.at_bound else []

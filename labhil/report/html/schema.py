@@ -53,6 +53,7 @@ class ParameterRow(Part):
     significant: bool | None = None
     identifiable: bool = True
     at_bound: bool = False
+    held: bool = False
     recording: int | None = None
 
     @property
@@ -346,6 +347,13 @@ class FaultPart(Part):
     statement: str
 
 
+class CollapsedPart(Part):
+    """A size of the rig that gave way in the baseline."""
+
+    key: str
+    statement: str
+
+
 class DiagnosisPart(Part):
     """`labhil.diagnosis/1`."""
 
@@ -357,6 +365,7 @@ class DiagnosisPart(Part):
     p_value_floor: Number = None
     baseline: BaselinePart
     changed: tuple[ChangePart, ...] = ()
+    collapsed: tuple[CollapsedPart, ...] = ()
     location: LocationPart | None = None
     missing: tuple[MissingPart, ...] = ()
     rivals: tuple[RivalPart, ...] = ()
