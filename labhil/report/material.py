@@ -13,7 +13,7 @@ import numpy as np
 
 from labhil.diagnose.fault import Fault
 from labhil.diagnose.intake import with_censored
-from labhil.diagnose.timing import all_faults
+from labhil.diagnose.timing import all_faults, why_untimed
 from labhil.errors import RecordingError, UsageError
 from labhil.identify.plausibility import doubts_of
 from labhil.identify.windows import FEWEST_SAMPLES, split, with_least_noise
@@ -75,7 +75,12 @@ class Material:
         if constant(self.learn.inputs).all():
             names = ", ".join(self.learn.input_names)
             told.append(f"No input changes ({names}): only what the rig does by itself can be learnt.")
-        return told
+        untimed = self.untimed()
+        return told if untimed is None else [*told, untimed]
+
+    def untimed(self) -> str | None:
+        """Why nobody knows whether the input is stamped late; None where that was checked."""
+        return why_untimed(self.model, self.measured)
 
     def faults(self) -> tuple[Fault, ...]:
         """What is wrong with the data that are learnt from, and with what is held out of them."""

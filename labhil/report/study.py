@@ -83,7 +83,8 @@ def fit_study(
     faults = material.faults()
     data["faults"] = [asdict(fault) for fault in faults]
     doubts = material.doubts(misfit=not result.adequacy.explained)
-    return FitResult(result, material, {**data, "doubts": doubts}, doubts, faults)
+    data |= {"doubts": doubts, "untimed": material.untimed()}
+    return FitResult(result, material, data, doubts, faults)
 
 
 def _with_own(model: Model, terms: Sequence[str], *, stated: bool) -> tuple[str, ...]:
@@ -133,7 +134,8 @@ def diagnose_study(
         )
     doubts = material.doubts(misfit=diagnosis.verdict != "no_mismatch")
     data = diagnosis_json(diagnosis, material.sources("search"))
-    return DiagnosisResult(diagnosis, material, {**data, "doubts": doubts}, doubts)
+    data |= {"doubts": doubts, "untimed": material.untimed()}
+    return DiagnosisResult(diagnosis, material, data, doubts)
 
 
 def _reference_values(material: Material, reference: Path | None) -> Mapping[str, float] | None:

@@ -11,7 +11,7 @@ from labhil.campaign.benchmark.cases import driven, levels
 from labhil.diagnose.hold import evident_hold
 from labhil.diagnose.intake import Kind, faults_of, usable, with_censored
 from labhil.diagnose.lead import lead_of
-from labhil.diagnose.timing import better_hold, late_input
+from labhil.diagnose.timing import better_hold, late_input, why_untimed
 from labhil.diagnose.wraps import wraps_of
 from labhil.identify.problem import Problem
 from labhil.identify.quantiser import held_samples, uneven_step
@@ -140,6 +140,32 @@ def test_a_smooth_input_that_is_late_is_found_by_the_rig_s_model(samples):
     else:
         assert fault is not None
         assert f"shift = {-0.01 * samples:.6g}" in fault.statement
+
+
+def fed_back(seed=0, n=1000) -> Record:
+    """A motor whose voltage is a gain times what is left to its goal, noise of the measurement included."""
+    random, speed = np.random.default_rng(seed), 0.0
+    u, y = np.empty(n), np.empty(n)
+    for k in range(n):
+        y[k] = speed + 0.05 * random.standard_normal()
+        u[k] = 2.0 * (5.0 * np.sin(0.02 * k) - y[k])
+        speed += 0.01 * (3.0 * u[k] - 2.0 * speed)
+    return Record(
+        0.01 * np.arange(n), u[:, None], y[:, None], ("voltage",), ("speed",), ("rad/s",), (Hold.ZERO,)
+    )
+
+
+def test_where_the_model_is_not_asked_about_late_stamps_that_is_said():
+    model = model_for(default_rig("dc_motor"), fed_back())
+    told = why_untimed(model, fed_back())
+    assert told is not None and told.startswith("Whether voltage is stamped") and "controller answers" in told
+    assert late_input(model, fed_back()) is None
+    assert why_untimed(model, motor(smooth())) is None
+    t = 1e-3 * np.arange(500)
+    pulled = (1.0 + np.sin(9.0 * t))[:, None]
+    names = (("coil_current",), ("plunger_position",), ("m",))
+    solenoid = Record(t, pulled, 1e-3 * pulled, *names)
+    assert "it is measured" in (why_untimed(model_for(default_rig("solenoid"), solenoid), solenoid) or "")
 
 
 def test_how_an_input_runs_between_samples_is_seen_in_the_data():
