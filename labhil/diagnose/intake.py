@@ -20,6 +20,7 @@ from labhil.diagnose.record_faults import clock_drifts, gaps, leads, no_excitati
 from labhil.diagnose.wraps import Wraps, wraps_of
 from labhil.identify.quantiser import converter_step
 from labhil.identify.windows import noise_of
+from labhil.physics.measured_input import MEASURED_INPUTS
 from labhil.physics.model import Record
 from labhil.signals import FloatArray
 
@@ -44,9 +45,6 @@ than half of a channel, not even its median is known.
 
 UNMARKED = 0.01
 """The same of readings at the end of a range that are not marked as censored: they count as readings."""
-
-MEASURED_INPUTS = ("beam_angle", "coil_current")
-"""Inputs of rigs with one input that a sensor reads; the others are commands."""
 
 LITTLE_DRIVEN = 0.1
 """Share of the largest input up to which a plant is as good as not driven."""

@@ -12,10 +12,11 @@ from dataclasses import replace
 import numpy as np
 
 from labhil.diagnose.fault import Fault, Kind
-from labhil.diagnose.intake import MEASURED_INPUTS, TOLERATED, faults_of
+from labhil.diagnose.intake import TOLERATED, faults_of
 from labhil.errors import UsageError
 from labhil.identify.fitted import Fitted, fit_terms
 from labhil.identify.windows import noise_of
+from labhil.physics.measured_input import MEASURED_INPUTS
 from labhil.physics.model import Metric, Model, Record
 from labhil.signals import FloatArray, Hold
 

@@ -16,6 +16,7 @@ from labhil.physics.driven import lagged, nodes_of
 from labhil.physics.extra_force import ExtraForce, MovedPart
 from labhil.physics.friction_terms import friction_terms
 from labhil.physics.guesses import straight_starts
+from labhil.physics.measured_input import without_noise
 from labhil.physics.model import Metric, Record, Windows, index_of, start_values
 from labhil.physics.path_terms import input_terms, offset_term, output_terms
 from labhil.physics.terms import Enters, Parameter, Term, Yardstick
@@ -162,8 +163,8 @@ class BallBeamModel:
         return self.horizon
 
     def prepare(self, record: Record) -> Record:
-        """The record itself."""
-        return record
+        """The record without the white noise of an input that is measured."""
+        return without_noise(record)
 
     def initial_states(self, record: Record, windows: Windows) -> FloatArray:
         """Position and slope of a straight line through the first samples of each window."""

@@ -24,6 +24,7 @@ from labhil.physics.extra_force import ExtraForce, MovedPart
 from labhil.physics.force_map import read_force_map
 from labhil.physics.friction_terms import friction_terms, load_dependent_friction
 from labhil.physics.guesses import straight_starts
+from labhil.physics.measured_input import without_noise
 from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.path_terms import input_terms, offset_term, output_terms
 from labhil.physics.terms import Enters, Parameter, Term, Yardstick
@@ -227,8 +228,8 @@ class SolenoidModel:
         return near(longest or self.horizon, self.horizon)
 
     def prepare(self, record: Record) -> Record:
-        """The record itself."""
-        return record
+        """The record without the white noise of an input that is measured."""
+        return without_noise(record)
 
     def initial_states(self, record: Record, windows: Windows) -> FloatArray:
         """Position and slope of a straight line through the first samples of each window."""

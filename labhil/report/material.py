@@ -18,6 +18,7 @@ from labhil.errors import RecordingError, UsageError
 from labhil.identify.plausibility import doubts_of
 from labhil.identify.windows import FEWEST_SAMPLES, split, with_least_noise
 from labhil.physics.arm import ArmModel
+from labhil.physics.measured_input import smoothing_notes
 from labhil.physics.model import Model, Record, joined
 from labhil.physics.rigs import model_for, record_of
 from labhil.physics.several import several
@@ -72,6 +73,8 @@ class Material:
     def notes(self) -> list[str]:
         """What the model wants a person to know of what it took for known."""
         told = list(self.model.notes) if isinstance(self.model, (ArmModel, SolenoidModel)) else []
+        units = {signal.name: signal.unit for signal in self.rig.kind.inputs}
+        told += smoothing_notes(self.measured, units.get(self.measured.input_names[0], ""))
         if constant(self.learn.inputs).all():
             names = ", ".join(self.learn.input_names)
             told.append(f"No input changes ({names}): only what the rig does by itself can be learnt.")
