@@ -245,7 +245,7 @@ class RigFile(_Section):
     @field_validator("known", "nominal", mode="before")
     @classmethod
     def _are_numbers(cls, value: object) -> object:
-        for name, each in value.items() if isinstance(value, Mapping) else ():
+        for name, each in _flatten(value) if isinstance(value, Mapping) else ():
             if any(isinstance(x, bool) for x in (each if isinstance(each, list) else [each])):
                 raise ValueError(f"{name}: expected a number, found {str(each).lower()}")
         return value
