@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from ruamel.yaml import YAML
 
 ROOT = Path(__file__).parents[1]
 SCRIPTS = Path(sys.executable).parent
@@ -31,6 +32,13 @@ def test_the_tree_is_in_order(name: str) -> None:
     command = [str(part) for part in CHECKS[name]]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"{name}:\n{done.stdout}{done.stderr}"
+
+
+def test_the_hook_before_a_commit_makes_these_checks() -> None:
+    hooks = YAML(typ="safe").load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))
+    entries = [hook["entry"] for repository in hooks["repos"] for hook in repository["hooks"]]
+    commands = [[f".venv/bin/{Path(tool).name}", *options] for tool, *options in CHECKS.values()]
+    assert entries == [" ".join(command) for command in commands]
 
 
 def test_nothing_called_drivers_lands_in_an_installation(tmp_path: Path) -> None:
