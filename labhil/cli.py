@@ -13,6 +13,7 @@ import typer
 
 from labhil.commands.acquisition import add_acquisition
 from labhil.commands.analysis import add_analysis
+from labhil.commands.benchmarks import add_benchmarks
 from labhil.commands.files import add_files
 from labhil.commands.firmware import add_firmware
 from labhil.commands.machine import add_machine
@@ -72,6 +73,7 @@ for add in (
     add_analysis,
     add_trials,
     add_studies,
+    add_benchmarks,
     add_tui,
     add_machine,
 ):

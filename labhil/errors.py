@@ -6,6 +6,7 @@
     ├── UsageError                 exit 2: wrong use or bad input
     │   ├── UnknownNameError       a plugin, rig, term, signal or parameter that does not exist
     │   ├── MissingExtraError      an optional package is not installed
+    │   ├── MissingBenchmarksError the project's benchmarks are not at hand
     │   ├── RigFileError           a rig file: missing key, misspelt key, wrong value
     │   ├── ExperimentFileError    an experiment file, likewise
     │   ├── TableError             a table to import: missing column, text, NaN, no rows
@@ -64,6 +65,16 @@ class MissingExtraError(UsageError):
     def __init__(self, package: str, extra: str, purpose: str) -> None:
         super().__init__(
             f"{purpose} needs the package {package!r}, which is not installed: pip install 'labhil[{extra}]'"
+        )
+
+
+class MissingBenchmarksError(UsageError):
+    """The project's benchmarks, which are no part of the package, are not at hand."""
+
+    def __init__(self, purpose: str) -> None:
+        super().__init__(
+            f"{purpose} is one of the project's benchmarks, which come with its source, not the package: "
+            "expected labhil to be installed from a checkout that still exists; run `pip install .` in one"
         )
 
 

@@ -74,9 +74,11 @@ def test_the_changelog_keeps_to_its_form() -> None:
     assert kinds <= {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
 
 
-@pytest.mark.parametrize("page", ["CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md"])
+@pytest.mark.parametrize("page", ["CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md", "benchmarks/README.md"])
 def test_what_a_page_names_exists(page: str) -> None:
     text = (ROOT / page).read_text(encoding="utf-8")
     linked = [target for target in re.findall(r"\]\(([^)]+)\)", text) if "://" not in target]
     rooms = re.findall(r"`((?:labhil|tests|docs|drivers|sim_drivers)/[\w/]*(?:\.\w+)?)`", text)
-    assert [name for name in (*linked, *rooms) if not (ROOT / name).exists()] == []
+    folder = (ROOT / page).parent
+    assert [name for name in linked if not (folder / name).exists()] == []
+    assert [name for name in rooms if not (ROOT / name).exists()] == []

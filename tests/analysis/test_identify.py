@@ -13,8 +13,6 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 from statsmodels.regression.linear_model import OLS
 
-from labhil.campaign.benchmark.cases import CASES
-from labhil.campaign.benchmark.trial import run_trial
 from labhil.errors import RecordingError
 from labhil.identify import statistics
 from labhil.identify.fit import Options, fit
@@ -25,6 +23,8 @@ from labhil.identify.windows import fit_windows, noise_of, scored_windows
 from labhil.physics.ball_beam import BallBeamModel
 from labhil.physics.model import Record
 from labhil.rig import parse_rig
+from labhil_benchmarks.statistics.cases import CASES
+from labhil_benchmarks.statistics.trial import run_trial
 
 TERMS = ("viscous_friction", "coulomb_friction", "stribeck_friction")
 TRUTH = {
