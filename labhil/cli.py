@@ -24,6 +24,7 @@ from labhil.commands.trials import add_trials
 from labhil.commands.tui import add_tui
 from labhil.console import forgiving_streams
 from labhil.errors import LabhilError
+from labhil.extras import missing_extra
 from labhil.terminal import complain, show
 
 app = typer.Typer(
@@ -44,6 +45,12 @@ def main() -> None:
         except LabhilError as error:
             complain(error)
             sys.exit(error.exit_status)
+        except ModuleNotFoundError as error:
+            missing = missing_extra(error, "this command")
+            if missing is None:
+                raise
+            complain(missing)
+            sys.exit(missing.exit_status)
 
 
 def _print_version(wanted: bool) -> None:

@@ -35,6 +35,20 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from contextlib import suppress
+
+DISTRIBUTIONS = ("labhil", "labhil-slim")
+"""Names under which the same code is installed: with all that the demo needs, or with the core alone."""
+
+
+def installed_as() -> str:
+    """The distribution that this is a part of; "labhil" where it is none."""
+    from importlib.metadata import PackageNotFoundError, distribution  # takes as long as all of this file
+
+    for name in DISTRIBUTIONS:
+        with suppress(PackageNotFoundError):
+            return distribution(name).name
+    return DISTRIBUTIONS[0]
 
 
 class LabhilError(Exception):
@@ -60,12 +74,12 @@ class UnknownNameError(UsageError):
 
 
 class MissingExtraError(UsageError):
-    """An optional package is not installed."""
+    """An optional package is not installed; raised by ``labhil.extras``."""
 
-    def __init__(self, package: str, extra: str, purpose: str) -> None:
-        super().__init__(
-            f"{purpose} needs the package {package!r}, which is not installed: pip install 'labhil[{extra}]'"
-        )
+    def __init__(self, package: str, extra: str, purpose: str, note: str = "") -> None:
+        command = f"pip install '{installed_as()}[{extra}]'"
+        more = f" ({note})" if note else ""
+        super().__init__(f"{purpose} needs the package {package!r}, which is not installed: {command}{more}")
 
 
 class MissingBenchmarksError(UsageError):
