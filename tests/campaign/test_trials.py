@@ -500,7 +500,7 @@ def test_an_oracle_learns_from_whole_recordings():
     assert refit.likelihood > oracle.log_likelihood(truth) - 20.0
 
 
-@pytest.mark.parametrize("seed", [0, 3, 4, 8])
+@pytest.mark.parametrize("seed", [*(pytest.param(seed, marks=pytest.mark.extended) for seed in (0, 3)), 4, 8])
 def test_an_oracle_finds_the_right_minimum_of_a_ball_that_sticks(seed):
     random = np.random.default_rng(seed)
     setup = bench_of("ball_beam").setup(random)
