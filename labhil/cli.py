@@ -13,6 +13,7 @@ import typer
 
 from labhil.commands.acquisition import add_acquisition
 from labhil.commands.analysis import add_analysis
+from labhil.commands.benchmarks import add_benchmarks
 from labhil.commands.files import add_files
 from labhil.commands.firmware import add_firmware
 from labhil.commands.machine import add_machine
@@ -23,6 +24,7 @@ from labhil.commands.trials import add_trials
 from labhil.commands.tui import add_tui
 from labhil.console import forgiving_streams
 from labhil.errors import LabhilError
+from labhil.extras import missing_extra
 from labhil.terminal import complain, show
 
 app = typer.Typer(
@@ -43,6 +45,12 @@ def main() -> None:
         except LabhilError as error:
             complain(error)
             sys.exit(error.exit_status)
+        except ModuleNotFoundError as error:
+            missing = missing_extra(error, "this command")
+            if missing is None:
+                raise
+            complain(missing)
+            sys.exit(missing.exit_status)
 
 
 def _print_version(wanted: bool) -> None:
@@ -72,6 +80,7 @@ for add in (
     add_analysis,
     add_trials,
     add_studies,
+    add_benchmarks,
     add_tui,
     add_machine,
 ):

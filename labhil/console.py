@@ -14,11 +14,14 @@ from typing import Any, TextIO
 
 from labhil.ending import Deadline, EndedEarly
 from labhil.errors import RunStoppedError, UsageError
+from labhil.extras import require
 from labhil.terminal import complain, printable, printable_json, show, terminal
 from labhil.whole import whole
 
 STDOUT = Path("-")
 """What stands for stdout where the path of a result is asked for."""
+DRAWN = (".png", ".pdf", ".svg", ".html", ".htm")
+"""Endings of results that are drawn."""
 
 
 class _Outlet(io.RawIOBase):
@@ -118,10 +121,15 @@ def write_json(data: dict[str, Any], path: Path | None = None) -> None:
 
 
 def refuse_unwritable(*paths: Path | None) -> None:
-    """Raise UsageError for a result's path that cannot be a file there, before the work and not after it."""
+    """Raise UsageError for a result's path that cannot be a file there, before the work and not after it.
+
+    MissingExtraError for a picture, or a page with pictures, where what draws them is not installed.
+    """
     for path in paths:
         if path is None or path == STDOUT:
             continue
+        if path.suffix.lower() in DRAWN:
+            require("matplotlib", f"{path}: drawing")
         if path.is_dir():
             raise UsageError(f"{path}: expected a file to write, found a folder")
         if not path.parent.is_dir():

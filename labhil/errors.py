@@ -6,6 +6,7 @@
     ├── UsageError                 exit 2: wrong use or bad input
     │   ├── UnknownNameError       a plugin, rig, term, signal or parameter that does not exist
     │   ├── MissingExtraError      an optional package is not installed
+    │   ├── MissingBenchmarksError the project's benchmarks are not at hand
     │   ├── RigFileError           a rig file: missing key, misspelt key, wrong value
     │   ├── ExperimentFileError    an experiment file, likewise
     │   ├── TableError             a table to import: missing column, text, NaN, no rows
@@ -34,6 +35,20 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from contextlib import suppress
+
+DISTRIBUTIONS = ("labhil", "labhil-slim")
+"""Names under which the same code is installed: with all that the demo needs, or with the core alone."""
+
+
+def installed_as() -> str:
+    """The distribution that this is a part of; "labhil" where it is none."""
+    from importlib.metadata import PackageNotFoundError, distribution  # takes as long as all of this file
+
+    for name in DISTRIBUTIONS:
+        with suppress(PackageNotFoundError):
+            return distribution(name).name
+    return DISTRIBUTIONS[0]
 
 
 class LabhilError(Exception):
@@ -59,11 +74,21 @@ class UnknownNameError(UsageError):
 
 
 class MissingExtraError(UsageError):
-    """An optional package is not installed."""
+    """An optional package is not installed; raised by ``labhil.extras``."""
 
-    def __init__(self, package: str, extra: str, purpose: str) -> None:
+    def __init__(self, package: str, extra: str, purpose: str, note: str = "") -> None:
+        command = f"pip install '{installed_as()}[{extra}]'"
+        more = f" ({note})" if note else ""
+        super().__init__(f"{purpose} needs the package {package!r}, which is not installed: {command}{more}")
+
+
+class MissingBenchmarksError(UsageError):
+    """The project's benchmarks, which are no part of the package, are not at hand."""
+
+    def __init__(self, purpose: str) -> None:
         super().__init__(
-            f"{purpose} needs the package {package!r}, which is not installed: pip install 'labhil[{extra}]'"
+            f"{purpose} is one of the project's benchmarks, which come with its source, not the package: "
+            "expected labhil to be installed from a checkout that still exists; run `pip install .` in one"
         )
 
 

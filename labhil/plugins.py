@@ -9,6 +9,7 @@ from typing import cast
 
 from labhil.driver import Driver, Twin
 from labhil.errors import UnknownNameError, UsageError
+from labhil.extras import missing_extra
 
 DRIVERS = "labhil.drivers"
 TWINS = "labhil.twins"
@@ -46,6 +47,9 @@ def _load(group: str, name: str, what: str) -> object:
     try:
         return point.load()
     except (ImportError, AttributeError) as error:
+        missing = missing_extra(error, f"{what} {name!r}") if isinstance(error, ModuleNotFoundError) else None
+        if missing is not None:
+            raise missing from error
         raise UsageError(f"{what} {name!r} ({point.value}) could not be imported: {error}") from error
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Iterator
@@ -11,6 +12,11 @@ from typing import Any
 import psutil
 import pytest
 from xdist.scheduler import LoadScopeScheduling
+
+# Two processes share the tests out. With a thread for each core in both, threads wait for each other by
+# counting, in products of small matrices: two thirds of the time went there. numpy and scipy read this when
+# they are loaded, which comes later; child processes inherit it.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 PATIENCE = 5.0
 # kept by the standard library for the life of the process, once a process pool was used

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from ruamel.yaml import YAML
 
 ROOT = Path(__file__).parents[1]
 SCRIPTS = Path(sys.executable).parent
@@ -19,6 +20,7 @@ CHECKS = {
     "mypy": [SCRIPTS / "mypy"],
     "import-linter": [SCRIPTS / "lint-imports", "--no-cache"],
 }
+BENCHMARKS = ROOT / "benchmarks"
 
 ANALYSIS = ("numba", "scipy.optimize", "matplotlib", "statsmodels")
 ACQUISITION = ("zenoh", "serial", "labhil.bus", "labhil.service", "labhil.experiment", "labhil.plants")
@@ -32,6 +34,34 @@ def test_the_tree_is_in_order(name: str) -> None:
     command = [str(part) for part in CHECKS[name]]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"{name}:\n{done.stdout}{done.stderr}"
+
+
+def test_benchmarks_stand_above_what_they_measure() -> None:
+    command = [str(SCRIPTS / "lint-imports"), "--no-cache"]
+    done = subprocess.run(command, cwd=BENCHMARKS, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{done.stdout}{done.stderr}"
+
+
+def test_a_page_says_which_command_made_every_figure() -> None:
+    page = (BENCHMARKS / "README.md").read_text(encoding="utf-8")
+    results = sorted(path for path in (BENCHMARKS / "results").rglob("*.json"))
+    assert results
+    assert [path.name for path in results if path.name not in page] == []
+    scripts = sorted((BENCHMARKS / "measuring").glob("measure_*.py"))
+    assert scripts
+    assert [path.name for path in scripts if path.name not in page] == []
+
+
+def test_no_benchmark_is_part_of_an_installation(tmp_path: Path) -> None:
+    assert "ModuleNotFoundError" in isolated("import labhil_benchmarks", tmp_path).stderr
+
+
+def test_the_hook_before_a_commit_makes_these_checks() -> None:
+    hooks = YAML(typ="safe").load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))
+    entries = [hook["entry"] for repository in hooks["repos"] for hook in repository["hooks"]]
+    commands = [[f".venv/bin/{Path(tool).name}", *options] for tool, *options in CHECKS.values()]
+    of_benchmarks = "sh -c 'cd benchmarks && ../.venv/bin/lint-imports --no-cache'"
+    assert entries == [*(" ".join(command) for command in commands), of_benchmarks]
 
 
 def test_nothing_called_drivers_lands_in_an_installation(tmp_path: Path) -> None:

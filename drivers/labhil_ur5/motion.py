@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from typing import Any
 
+from labhil.extras import require
 from labhil_ur5.dashboard import stop_program
 
 SILENCE = 2.0
@@ -55,7 +56,11 @@ class Motion:
         self._stopping: threading.Thread | None = None
 
     def start(self) -> None:
-        """Start the process; :attr:`state` is IDLE once it may be told to move."""
+        """Start the process; :attr:`state` is IDLE once it may be told to move.
+
+        MissingExtraError without the client library: listening to an arm needs none.
+        """
+        require("rtde_control", "commanding a UR arm")
         with self._writing:
             self._discard()
             self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed in `_discard`

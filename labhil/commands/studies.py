@@ -1,4 +1,4 @@
-"""Commands that are studies of their own: the demo, designs, the reference text, benchmarks."""
+"""Commands that are studies of their own: the demo and designs."""
 
 from __future__ import annotations
 
@@ -7,16 +7,13 @@ from typing import Annotated
 
 import typer
 
-from labhil.console import STDOUT, deliver, refuse_unwritable, results_console, status, write_json
-from labhil.terminal import terminal
+from labhil.console import deliver, refuse_unwritable, results_console, status
 
 
 def add_studies(app: typer.Typer) -> None:
     """Register these commands."""
     app.command(epilog="Example: labhil demo --seed 7")(demo)
     app.command(epilog="Example: labhil optimise solenoid --plot design.png")(optimise)
-    app.command(epilog="Example: labhil reference 5.3 5.5 --quick")(reference)
-    app.command(epilog="Example: labhil benchmark dc_motor --recordings 20 -o bench")(benchmark)
 
 
 def demo(
@@ -59,69 +56,3 @@ def optimise(
         from labhil.optimise.plot import plot as draw
 
         draw(study, plot)
-
-
-def reference(
-    tables: Annotated[list[str] | None, typer.Argument(help="Numbers like 5.3 (default: all).")] = None,
-    *,
-    quick: Annotated[bool, typer.Option("--quick", help="A twentieth of the swarms' iterations.")] = False,
-    seed: Annotated[int, typer.Option(help="Seed of everything that is drawn.")] = 0,
-    cache: Annotated[Path, typer.Option(help="Where finished parts are kept.")] = Path("labhil-reference"),
-    markdown: Annotated[Path | None, typer.Option(help="Write a page here.")] = None,
-    json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
-) -> None:
-    """Set the tables of the reference text's chapter 5 beside ours, beside the truth and what data can know.
-
-    At full length it takes a while; finished parts are kept, and the same command goes on from there.
-    """
-    from labhil.campaign.reference import reference_command
-    from labhil.campaign.reference.published import NUMBERS
-
-    refuse_unwritable(json_path, markdown)
-    to_stdout = json_path == STDOUT
-    with status() as say:
-        found = reference_command(
-            tables or NUMBERS,
-            quick=quick,
-            seed=seed,
-            cache=cache,
-            markdown=markdown,
-            json_path=None if to_stdout else json_path,
-            progress=say,
-            console=terminal(stderr=True) if to_stdout else None,
-        )
-    if to_stdout:
-        write_json(found.to_json())
-
-
-def benchmark(
-    cases: Annotated[list[str] | None, typer.Argument(help="Which (default: all).")] = None,
-    *,
-    recordings: Annotated[int, typer.Option(help="With white noise, and as many with coloured.")] = 150,
-    starts: Annotated[
-        int | None, typer.Option(help="Instead: fit one recording from so many random starts.")
-    ] = None,
-    out: Annotated[Path, typer.Option("-o", "--out", help="Where results are kept.")] = Path(
-        "labhil-benchmark"
-    ),
-) -> None:
-    """Measure the statistics on simulated recordings with known answers: errors, coverage, decisions.
-
-    Every finished recording is kept at once; the same command goes on where it was interrupted.
-    """
-    from labhil.campaign.benchmark.cases import CASES
-    from labhil.campaign.benchmark.run import run_benchmark, run_starts
-    from labhil.campaign.benchmark.starts import show as show_starts
-    from labhil.campaign.benchmark.summary import show
-
-    names = cases or list(CASES)
-    console = results_console()
-    if starts is not None:
-        with status() as say:
-            arrivals = run_starts(names, starts, out, say)
-        console.print(*(show_starts(each) for each in arrivals), sep="\n")
-        return
-    with status() as say:
-        summaries = run_benchmark(names, recordings, out, say)
-    for summary in summaries:
-        console.print(show(summary))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from labhil.commands.benchmarks import add_trial_benchmarks
 from labhil.console import deliver, refuse_unwritable, results_console, status
 from labhil.cores import cores
 from labhil.terminal import show
@@ -32,11 +33,7 @@ def add_trials(app: typer.Typer) -> None:
     trial.command("score", epilog="Example: labhil trial score trials trials-answers --json score.json")(
         trial_score
     )
-    trial.command("benchmark", epilog="Example: labhil trial benchmark axis --trials 300 -o axis-trials")(
-        trial_benchmark
-    )
-    trial.command("compare", epilog="Example: labhil trial compare axis.json dc_motor.json")(trial_compare)
-    trial.command("calibrate", epilog="Example: labhil trial calibrate axis-trials/effects")(trial_calibrate)
+    add_trial_benchmarks(trial)
     app.add_typer(trial, name="trial")
 
 
@@ -115,62 +112,10 @@ def trial_score(
     refuse_unwritable(json_path, plot_path)
     with status() as say:
         card = score_trials(folder, answers, say, method, jobs or cores())
-    _tell(card, json_path, plot_path)
+    deliver_card(card, json_path, plot_path)
 
 
-def trial_benchmark(
-    rig: Annotated[str, typer.Argument(help="A kind of rig: ball_beam, dc_motor, axis, solenoid or ur5.")],
-    *,
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Where everything goes.")],
-    trials: Annotated[int, typer.Option(help="How many nulls, and how many trials with effects.")] = 300,
-    seed: Annotated[
-        int | None, typer.Option(help="For tests: the same trials again; default: the system's randomness.")
-    ] = None,
-    first: Annotated[int, typer.Option(help=FIRST)] = 1,
-    method: Annotated[str, typer.Option(help=METHOD)] = "diagnose",
-    jobs: Annotated[int | None, typer.Option(help="Processes (default: one a core).")] = None,
-    json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
-    plot_path: Annotated[Path | None, typer.Option("--plot", help="Draw the result here (PNG).")] = None,
-) -> None:
-    """Make, diagnose and score as many nulls as trials with effects; goes on where it was interrupted."""
-    from labhil.campaign.trials.benchmark import Plan, run_trial_benchmark
-
-    refuse_unwritable(json_path, plot_path)
-    with status() as say:
-        plan = Plan(rig, trials, out, seed, method, jobs or cores(), first)
-        card = run_trial_benchmark(plan, say)
-    _tell(card, json_path, plot_path)
-
-
-def trial_compare(
-    cards: Annotated[list[Path], typer.Argument(metavar="FILE...", help="JSON of score or benchmark.")],
-) -> None:
-    """Print score cards side by side, as a Markdown table."""
-    from labhil.campaign.trials.compare import compared
-
-    show(compared(cards))
-
-
-def trial_calibrate(
-    folders: Annotated[
-        list[Path], typer.Argument(metavar="DIR...", help="Folders of trials, run, with DIR-answers beside.")
-    ],
-) -> None:
-    """Fit how probable a claim is to trials whose answers are open: the weights of a stated probability.
-
-    Probabilities that were fitted to trials are to be scored on others.
-    """
-    from labhil.campaign.trials.calibrate import calibrated, claimed_in
-    from labhil.diagnose.credence import WEIGHTS
-
-    fitted = calibrated([claim for folder in folders for claim in claimed_in(folder)])
-    show(f"{fitted.claims} claims, {fitted.right} of them right")
-    names = ("a single claim, ΔBIC −100, nothing left", "ln (what is left)", "each further claim", "lg ΔBIC")
-    for name, weight, error, used in zip(names, fitted.weights, fitted.errors, WEIGHTS, strict=True):
-        show(f"{name:42} {weight:7.2f} ± {error:.2f}   in use: {used:.2f}")
-
-
-def _tell(card: Card, json_path: Path | None, plot_path: Path | None) -> None:
+def deliver_card(card: Card, json_path: Path | None, plot_path: Path | None) -> None:
     """Print a score card, and write and draw it where that was asked for."""
     from labhil.campaign.trials.show import show
 

@@ -9,12 +9,16 @@ from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, distribution, requires, version
 
 from labhil.doctor.finding import Finding, State, broken, fine, note
+from labhil.errors import installed_as
 
-DISTRIBUTION = "labhil"
 OLDEST_PYTHON = (3, 11)
+SUMS = ("all", "test")
+"""Extras that are made of others, or of what only a contributor needs."""
 
 _REQUIREMENT = re.compile(r"\s*([A-Za-z0-9._-]+)\s*(?:\[[^]]*\])?\s*([^;]*)(?:;\s*(.*))?")
 _EXTRA = re.compile(r"extra\s*==\s*['\"]([^'\"]+)['\"]")
+_MACHINE = re.compile(r"(sys_platform|platform_machine)\s*==\s*['\"]([^'\"]+)['\"]")
+_PYTHON = re.compile(r"python_version\s*(<)\s*['\"]([0-9.]+)['\"]")
 _BOUND = re.compile(r"(>=|==|>|<=|<|!=|~=)\s*([0-9][0-9A-Za-z.]*)")
 
 
@@ -30,8 +34,9 @@ def check_python() -> Iterator[Finding]:
 
 def check_packages() -> Iterator[Finding]:
     """Each declared package: installed, and of a version that was declared; extras by their names."""
+    name = installed_as()
     try:
-        declared = requires(DISTRIBUTION) or []
+        declared = requires(name) or []
     except PackageNotFoundError:
         yield broken(
             "labhil",
@@ -39,21 +44,23 @@ def check_packages() -> Iterator[Finding]:
             "pip install .",
         )
         return
-    yield fine("labhil", f"{version(DISTRIBUTION)} at {distribution(DISTRIBUTION).locate_file('')}")
+    yield fine("labhil", f"{name} {version(name)} at {distribution(name).locate_file('')}")
     needed: list[Finding] = []
     extras: dict[str, list[Finding]] = {}
     for requirement in declared:
+        if not _meant_for_this_machine(requirement):
+            continue
         finding, extra = checked(requirement)
         (extras.setdefault(extra, []) if extra else needed).append(finding)
     yield from (finding for finding in needed if finding.state is State.BROKEN)
     good = [f"{finding.subject} {finding.found}" for finding in needed if finding.state is State.FINE]
     yield fine("packages", f"{len(good)} as declared: {', '.join(good)}")
-    extras.pop("test", None)
+    extras = {extra: findings for extra, findings in extras.items() if extra not in SUMS}
     for extra, findings in sorted(extras.items()):
         missing = [finding for finding in findings if finding.state is not State.FINE]
         if missing:
             found = ", ".join(f"{finding.subject} {finding.found}" for finding in missing)
-            yield note(f"extra {extra}", found, f"pip install 'labhil[{extra}]'")
+            yield note(f"extra {extra}", found, f"pip install '{name}[{extra}]'")
         else:
             names = ", ".join(f"{finding.subject} {finding.found}" for finding in findings)
             yield fine(f"extra {extra}", names)
@@ -78,6 +85,15 @@ def checked(requirement: str) -> tuple[Finding, str]:
     else:
         finding = fine(name, installed)
     return finding, extra.group(1) if extra else ""
+
+
+def _meant_for_this_machine(requirement: str) -> bool:
+    """Whether system, processor and Python are those that a requirement names, where it names any."""
+    here = {"sys_platform": sys.platform, "platform_machine": platform.machine()}
+    python = f"{sys.version_info.major}.{sys.version_info.minor}"
+    return all(here[what] == wanted for what, wanted in _MACHINE.findall(requirement)) and all(
+        _meets(python, sign, bound) for sign, bound in _PYTHON.findall(requirement)
+    )
 
 
 def _meets(installed: str, sign: str, bound: str) -> bool:

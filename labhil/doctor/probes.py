@@ -12,7 +12,9 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from labhil.doctor.finding import Finding, broken, fine
+from labhil.doctor.finding import Finding, broken, fine, note
+from labhil.errors import MissingExtraError
+from labhil.extras import require
 from labhil.terminal import complain, show
 
 TIMEOUT = 120.0
@@ -26,6 +28,9 @@ ADVICE = {
     "recording": "pip install --force-reinstall mcap lz4 protobuf; nothing can be recorded or read without",
 }
 
+NEEDED = {"compiler": "numba", "cache": "numba", "bus": "zenoh", "pty": "serial"}
+"""What an installation of one wing may lack."""
+
 
 def check_probes() -> Iterator[Finding]:
     """Try each in a process of its own."""
@@ -36,6 +41,12 @@ def check_probes() -> Iterator[Finding]:
 def probe(name: str) -> Finding:
     """The finding of one probe; what it printed last is what was found."""
     command = [sys.executable, "-P", "-m", "labhil.doctor.probes", name]
+    try:
+        if name in NEEDED:
+            require(NEEDED[name], "this")
+    except MissingExtraError as error:
+        what, _, advice = str(error).partition(": ")
+        return note(name, f"not tried: {what}", advice)
     try:
         done = subprocess.run(
             command, capture_output=True, text=True, timeout=TIMEOUT, check=False, stdin=subprocess.DEVNULL

@@ -16,13 +16,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import import_module
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-from labhil.errors import MissingExtraError, RunError
+from labhil.errors import RunError
+from labhil.extras import load_optional
 from labhil.optimise.field_mesh import Section, solenoid
 from labhil.optimise.geometry import HOUSING, Housing, checked
 from labhil.optimise.steel import FREE_CUTTING, MU0, Steel, magnetised_all
@@ -39,10 +39,8 @@ FINENESS = 1.0
 
 def skfem() -> ModuleType:
     """The field solver's library; MissingExtraError when it is not installed."""
-    try:
-        return import_module("skfem")
-    except ImportError as error:
-        raise MissingExtraError("scikit-fem", "field", "the check against a field solver") from error
+    module: ModuleType = load_optional("skfem", "the check against a field solver")
+    return module
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from labhil.identify.fit import Fit
 from labhil.identify.score import ChannelScore, Score
-from labhil.identify.statistics import runs
+from labhil.identify.statistics import autocorrelation, runs
 from labhil.physics.model import Record
 from labhil.physics.terms import keyed
 from labhil.report.figure import AFTER, MEASURED, figure_of, finish, save
@@ -80,11 +80,9 @@ def _draw_histogram(axes: Axes, errors: FloatArray, channel: ChannelScore) -> No
 
 def _draw_autocorrelation(axes: Axes, residuals: Sequence[FloatArray]) -> None:
     """That of the residuals of each recording, the mean of them."""
-    from statsmodels.tsa.stattools import acf
-
     lengths = [len(own) for own in residuals]
     lags = min(LAGS, min(lengths) // 3)
-    correlation = np.average([acf(own, nlags=lags, fft=True) for own in residuals], axis=0, weights=lengths)
+    correlation = np.average([autocorrelation(own, lags) for own in residuals], axis=0, weights=lengths)
     band = 2.576 / np.sqrt(sum(lengths))
     axes.vlines(np.arange(1, lags + 1), 0.0, correlation[1:], color=AFTER, lw=1.5)
     axes.axhspan(-band, band, color="k", alpha=0.12, label="white noise, 99 %")

@@ -1,12 +1,9 @@
 """Contract tests that every driver plugin can subclass; needs pytest."""
 
-from labhil.errors import MissingExtraError
+from labhil.extras import require
 
-try:
-    import pytest  # noqa: F401
-except ImportError as error:
-    raise MissingExtraError("pytest", "test", "labhil.testing") from error
+require("pytest", "labhil.testing")
 
-from labhil.testing.contract import DriverContract
+from labhil.testing.contract import DriverContract  # noqa: E402 - asks for pytest
 
 __all__ = ["DriverContract"]

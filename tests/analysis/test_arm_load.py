@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labhil.campaign.benchmark import arm
 from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.diagnosis import diagnose
 from labhil.identify.fit import Options, fit
@@ -21,6 +20,7 @@ from labhil.physics.arm.rigid_body import regressor, upright
 from labhil.physics.model import Record
 from labhil.physics.rigs import model_for
 from labhil.rig import parse_rig
+from labhil_benchmarks.statistics import arm
 
 MASS, CENTRE = 2.2, (0.02, -0.03, 0.08)
 FRICTION = ("viscous_friction", "coulomb_friction", "sensor_offset")

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labhil.campaign.benchmark.cases import CASES
-from labhil.campaign.benchmark.trial import run_trial
 from labhil.identify.fit import fit
 from labhil.identify.further_channels import with_help
 from labhil.physics.model import Record
@@ -14,6 +12,8 @@ from labhil.physics.rigs import model_for
 from labhil.plants.dc_motor import DcMotorPlant
 from labhil.rig import default_rig
 from labhil.signals import Hold
+from labhil_benchmarks.statistics.cases import CASES
+from labhil_benchmarks.statistics.trial import run_trial
 
 TERMS = ("viscous_friction", "coulomb_friction")
 UNITS = {"speed": "rad/s", "current": "A"}

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labhil.campaign.benchmark import arm
-from labhil.campaign.benchmark.cases import driven, levels
 from labhil.diagnose.diagnosis import diagnose
 from labhil.physics.rigs import model_for, rig_model
 from labhil.rig import parse_rig
+from labhil_benchmarks.statistics import arm
+from labhil_benchmarks.statistics.cases import driven, levels
 
 pytestmark = pytest.mark.timeout(600)
 """A diagnosis of a rough model takes a minute or two on a machine that does other work too."""

@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 from statsmodels.regression.linear_model import OLS
+from statsmodels.stats.diagnostic import acorr_ljungbox
+from statsmodels.tsa.stattools import acf
 
-from labhil.campaign.benchmark.cases import CASES
-from labhil.campaign.benchmark.trial import run_trial
 from labhil.errors import RecordingError
 from labhil.identify import statistics
 from labhil.identify.fit import Options, fit
@@ -25,6 +25,8 @@ from labhil.identify.windows import fit_windows, noise_of, scored_windows
 from labhil.physics.ball_beam import BallBeamModel
 from labhil.physics.model import Record
 from labhil.rig import parse_rig
+from labhil_benchmarks.statistics.cases import CASES
+from labhil_benchmarks.statistics.trial import run_trial
 
 TERMS = ("viscous_friction", "coulomb_friction", "stribeck_friction")
 TRUTH = {
@@ -150,6 +152,16 @@ def test_whiteness_and_crosscorrelation_tell_null_from_signal():
     assert sum(statistics.input_crosscorrelation(r, inputs) < 0.1 for r in white) < 12
     assert statistics.whiteness(np.cumsum(white[0])) < 1e-6
     assert statistics.input_crosscorrelation(white[0] + 0.5 * inputs, inputs) < 1e-6
+
+
+@given(seed=st.integers(0, 10**6), n=st.integers(25, 400), lags=st.integers(1, 20), rho=st.floats(-0.9, 0.9))
+@settings(max_examples=40, deadline=None)
+def test_autocorrelation_and_ljung_box_are_those_of_statsmodels(seed, n, lags, rho):
+    noise = np.random.default_rng(seed).standard_normal(n)
+    values = lfilter([1.0], [1.0, -rho], noise) + 3.0
+    np.testing.assert_allclose(statistics.autocorrelation(values, lags), acf(values, nlags=lags), atol=1e-12)
+    theirs = acorr_ljungbox(values, lags=[lags], return_df=True)["lb_pvalue"].iloc[0]
+    assert statistics.whiteness(values, lags) == pytest.approx(theirs, rel=1e-9, abs=1e-300)
 
 
 def test_noise_is_measured_without_a_model(acquire):

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from labhil.campaign.benchmark.arm import arm
-from labhil.campaign.benchmark.cases import STEP, driven, held_ball, levels
-from labhil.campaign.benchmark.noise import noise_like
 from labhil.diagnose.frozen import clipped
 from labhil.diagnose.intake import Fault, Kind, faults, usable
 from labhil.identify.windows import noise_of
 from labhil.physics.model import Record
+from labhil_benchmarks.statistics.arm import arm
+from labhil_benchmarks.statistics.cases import STEP, driven, held_ball, levels
+from labhil_benchmarks.statistics.noise import noise_like
 
 DRY = ("viscous_friction", "coulomb_friction", "stribeck_friction")
 SOME = settings(max_examples=12, deadline=None, derandomize=True)

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labhil.campaign.benchmark.cases import driven, levels
 from labhil.diagnose.hold import evident_hold
 from labhil.diagnose.intake import Kind, faults_of, usable, with_censored
 from labhil.diagnose.lead import lead_of
@@ -20,6 +19,7 @@ from labhil.physics.model import Record
 from labhil.physics.rigs import model_for
 from labhil.rig import default_rig
 from labhil.signals import Hold
+from labhil_benchmarks.statistics.cases import driven, levels
 
 DRY = ("viscous_friction", "coulomb_friction")
 CHANNELS = (("speed", "rad/s"), ("current", "A"))

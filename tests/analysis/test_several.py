@@ -11,8 +11,6 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from labhil.campaign.benchmark import arm
-from labhil.campaign.benchmark.cases import driven, levels
 from labhil.diagnose.diagnosis import diagnose
 from labhil.diagnose.intake import Kind, faults_of, usable
 from labhil.errors import RecordingError, UnknownNameError, UsageError
@@ -26,6 +24,8 @@ from labhil.physics.model import Record, Windows, index_of, joined, start_values
 from labhil.physics.rigs import model_for
 from labhil.physics.several import for_every_recording, several
 from labhil.rig import parse_rig
+from labhil_benchmarks.statistics import arm
+from labhil_benchmarks.statistics.cases import driven, levels
 
 TERMS = ("viscous_friction", "coulomb_friction", "constant_force")
 OWN = ("moving_mass", "constant_force")

@@ -10,13 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labhil.campaign.benchmark.cases import (
-    BALL_BEAM_RIG,
-    BALL_BEAM_TRUTH,
-    CASES,
-    held_ball,
-)
-from labhil.campaign.benchmark.trial import Case
 from labhil.diagnose.beyond import imitated, settled
 from labhil.diagnose.evidence import Evidence
 from labhil.diagnose.found import Found, Step
@@ -35,6 +28,13 @@ from labhil.physics.rigs import model_for
 from labhil.plants.axis import AxisPlant
 from labhil.rig import parse_rig
 from labhil.signals import FloatArray, Hold
+from labhil_benchmarks.statistics.cases import (
+    BALL_BEAM_RIG,
+    BALL_BEAM_TRUTH,
+    CASES,
+    held_ball,
+)
+from labhil_benchmarks.statistics.trial import Case
 
 sys.path.insert(0, str(Path(__file__).parent))
 from one_input_rigs import replay, staircase

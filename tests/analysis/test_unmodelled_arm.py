@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labhil.campaign.benchmark import arm
 from labhil.diagnose.beyond import beyond
 from labhil.diagnose.diagnosis import data_of, diagnose, fit_baseline
 from labhil.diagnose.found import Found
@@ -31,6 +30,7 @@ from labhil.report.plots import diagnosis_plot
 from labhil.report.results import diagnosis_json
 from labhil.rig import parse_rig
 from labhil.signals import FloatArray
+from labhil_benchmarks.statistics import arm
 
 pytestmark = pytest.mark.timeout(600)
 

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labhil.campaign.benchmark.cases import driven
 from labhil.diagnose.diagnosis import diagnose
 from labhil.identify.fit import Options, fit
 from labhil.identify.intervals import Intervals
 from labhil.physics.rigs import model_for
 from labhil.rig import parse_rig
+from labhil_benchmarks.statistics.cases import driven
 
 RIG = """
 [rig]

@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
+from labhil.cli import main
+
 FOLDER = Path(__file__).parents[2] / "recordings"
 WORDS = {"REC": str(FOLDER / "ball_beam_identify.mcap"), "EXP": str(FOLDER / "ball_beam_identify.toml")}
-
-
-def labhil(directory: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-P", "-m", "labhil", *arguments]
-    return subprocess.run(
-        command, cwd=directory, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
-    )
 
 
 @pytest.mark.parametrize(
@@ -32,10 +25,20 @@ def labhil(directory: Path, *arguments: str) -> subprocess.CompletedProcess[str]
         (("run", "EXP", "--out", "rig.toml"), "rig.toml: expected a directory for the recording"),
     ],
 )
-def test_it_is_told(tmp_path: Path, arguments: tuple[str, ...], message: str) -> None:
+def test_it_is_told(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: tuple[str, ...],
+    message: str,
+) -> None:
     (tmp_path / "rig.toml").write_text('[rig]\nkind = "ball_beam"\n')
     (tmp_path / "empty.json").write_text('{"schema": "labhil.fit/1"}\n')
-    done = labhil(tmp_path, *(WORDS.get(word, word) for word in arguments))
-    assert (done.returncode, done.stdout) == (2, ""), done.stderr
-    assert message in done.stderr
-    assert "Traceback" not in done.stderr
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["labhil", *(WORDS.get(word, word) for word in arguments)])
+    with pytest.raises(SystemExit) as end:
+        main()
+    said = capsys.readouterr()
+    assert (end.value.code, said.out) == (2, ""), said.err
+    assert message in said.err
+    assert "Traceback" not in said.err

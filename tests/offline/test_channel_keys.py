@@ -7,12 +7,12 @@ import json
 import numpy as np
 import pytest
 
-from labhil.campaign.benchmark.cases import driven, levels
 from labhil.errors import RigFileError
 from labhil.recording.reader import read_recording
 from labhil.recording.tables import import_table
 from labhil.rig import parse_rig
 from labhil.signals import Hold
+from labhil_benchmarks.statistics.cases import driven, levels
 
 
 def table(path, **columns):

@@ -42,6 +42,17 @@ def test_an_extra_that_is_missing_is_worth_a_note_and_a_command(monkeypatch: pyt
     assert found["packages"].found.startswith("1 as declared: numpy")
 
 
+@pytest.mark.parametrize(
+    "marker", ["sys_platform == 'moon'", "platform_machine == 'z80'", "python_version < '3.11'"]
+)
+def test_what_is_not_meant_for_this_machine_is_not_missed(
+    marker: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    declared = ["numpy>=2", f"no-such-package-of-ours; ({marker}) and extra == 'ur5'"]
+    monkeypatch.setattr(packages, "requires", lambda name: declared)
+    assert "extra ur5" not in {finding.subject for finding in packages.check_packages()}
+
+
 def test_a_folder_that_cannot_be_written_is_found(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     (bad,) = machine.check_disk(tmp_path / "file")

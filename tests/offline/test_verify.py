@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labhil.campaign.benchmark.cases import driven, levels
 from labhil.physics.model import Record
+from labhil_benchmarks.statistics.cases import driven, levels
 
 TERMS = ("viscous_friction", "coulomb_friction", "constant_force")
 VALUES = {

@@ -15,7 +15,7 @@ from labhil.experiment.experiment import parse_experiment
 from labhil.experiment.twins import twin_command
 from labhil.recording.reader import read_recording
 
-sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks" / "measuring"))
 from measure_ur5_faults import suffer
 
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from labhil.errors import CommandRefusedError, ConnectError, ProtocolError
+from labhil.errors import CommandRefusedError, ConnectError, MissingExtraError, ProtocolError
 from labhil.testing import DriverContract
 from labhil_ur5 import Ur5Cb3Driver, Ur5Driver
 from labhil_ur5.motion import MotionState
@@ -108,6 +108,18 @@ def until(driver, reached, command=None):
         if command is not None:
             driver.command(command)
         driver.read(0.01)
+
+
+def test_without_the_client_library_it_listens_and_says_what_moves_it(monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "rtde_control", None)
+    with ur5_twin() as (address, _), Ur5Driver(address) as driver:
+        driver.connect()
+        q = latest(driver, "target_q")
+        with pytest.raises(
+            MissingExtraError, match=r"commanding a UR arm needs .*'labhil\[ur5\]'.*Python up to 3\.12"
+        ):
+            until(driver, lambda: False, {"target_q_3": q[3] - 1})
+        assert np.all(np.isfinite(latest(driver, "actual_q")))
 
 
 @pytest.mark.extended

@@ -16,8 +16,10 @@ import traceback
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
+from labhil.campaign.benchmarks import benchmark_module
 from labhil.campaign.trials.folder import (
     DIAGNOSE,
     EVIDENCE,
@@ -29,7 +31,6 @@ from labhil.campaign.trials.folder import (
     replace_text,
 )
 from labhil.campaign.trials.seal import sha256_of
-from labhil.campaign.trials.stepwise import stepwise_study
 from labhil.errors import UsageError
 from labhil.report.material import load_material
 from labhil.report.study import diagnose_study
@@ -81,6 +82,8 @@ def _check_recordings(folder: Path, listed: Listed) -> None:
 def _diagnose_all(
     results: Results, names: list[str], hashes: dict[str, str], jobs: int, progress: Progress
 ) -> None:
+    if results.method == STEPWISE:
+        _stepwise()  # looked for here: processes that read no JSON cannot ask where it is
     # spawned processes share no memory with this one, whatever it has read
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(jobs, mp_context=context, initializer=keep_envelopes_shut) as executor:
@@ -103,6 +106,11 @@ def _diagnose_all(
             raise
 
 
+def _stepwise() -> ModuleType:
+    """The rival method, one of the project's benchmarks."""
+    return benchmark_module("trials.stepwise", f"--method {STEPWISE}")
+
+
 def keep_envelopes_shut() -> None:
     """Refuse from now on, in this process, to open any JSON file."""
     sys.addaudithook(_refuse_envelopes)
@@ -122,7 +130,7 @@ def diagnose_trial(folder: Path, name: str, method: str = DIAGNOSE) -> dict[str,
         search, test = (recording(folder, name, role) for role in ("search", "test"))
         material = load_material(search, test_path=test)
         result: dict[str, Any] = (
-            stepwise_study(material)
+            _stepwise().stepwise_study(material)
             if method == STEPWISE
             else diagnose_study(material, method="evidence" if method == EVIDENCE else "search").json
         )

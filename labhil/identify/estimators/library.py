@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from labhil.errors import MissingExtraError
+from labhil.extras import load_optional
 from labhil.identify.estimators.search import Found, Ledger
 from labhil.signals import FloatArray
 
@@ -55,10 +55,7 @@ def simulated_annealing(
 
 def cma_es(ledger: Ledger, seed: int, start: FloatArray | None = None, iterations: int = 1000) -> Found:
     """Covariance matrix adaptation (Hansen), by pycma; from the middle of the box where no start is given."""
-    try:
-        import cma
-    except ImportError as error:
-        raise MissingExtraError("cma", "search", "the estimator cma_es") from error
+    cma = load_optional("cma", "the estimator cma_es")
     box = ledger.box
     # draws of its own: nobody else's are begun anew by them
     random = np.random.default_rng(seed)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labhil.errors import MissingExtraError
+from labhil.extras import load_optional
 from labhil.identify.estimators.search import Found, Ledger
 from labhil.signals import FloatArray
 
@@ -25,10 +25,7 @@ def mcmc(ledger: Ledger, seed: int, start: FloatArray | None = None, iterations:
     stop once the chain is 50 autocorrelation times long; ``draws`` is its second half, and
     ``stopped_because`` tells its length in these.
     """
-    try:
-        import emcee
-    except ImportError as error:
-        raise MissingExtraError("emcee", "search", "the estimator mcmc") from error
+    emcee = load_optional("emcee", "the estimator mcmc")
     box, begin = ledger.box, _walkers(ledger, seed, start)
 
     def log_posterior(z: FloatArray) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import cos, sin
@@ -10,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from labhil.errors import MissingExtraError
+from labhil.extras import load_optional
 from labhil.plants.arm.links import JOINTS, Link, Links, Vector
 from labhil.signals import FloatArray
 
@@ -100,10 +99,7 @@ class RigidBody:
 
 def physics_engine() -> Any:
     """Return the module ``mujoco``; MissingExtraError names the extra that brings it."""
-    try:
-        return importlib.import_module("mujoco")
-    except ImportError as error:
-        raise MissingExtraError("mujoco", "arm", "the simulated arm") from error
+    return load_optional("mujoco", "the simulated arm")
 
 
 def described(links: Links, load: Load) -> str:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import importlib.util
 import json
 import os
 import signal
@@ -21,7 +20,8 @@ from pathlib import Path
 from typing import Any
 
 from labhil import errors
-from labhil.errors import LabhilError, MissingExtraError, TableError
+from labhil.errors import LabhilError, TableError
+from labhil.extras import require
 from labhil.recording.formats.columns import Columns
 from labhil.recording.formats.transfer import HEAD, parse_answer, unpack_columns
 from labhil.rig import Table
@@ -92,8 +92,7 @@ def _require_package(kind: str, path: Path) -> None:
     """MissingExtraError where the package is not installed, before a process is started for it."""
     if kind in PACKAGES:
         package, what = PACKAGES[kind]
-        if importlib.util.find_spec(package) is None:
-            raise MissingExtraError(package, "formats", f"{path}: {what}")
+        require(package, f"{path}: {what}")
 
 
 class _Process:

@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 
 from labhil.errors import TableError
+from labhil.extras import load_optional
 from labhil.recording.formats.bag_messages import Named, Source, Way, numbers_in, sources_of
-from labhil.recording.formats.columns import Columns, the_package
+from labhil.recording.formats.columns import Columns
 from labhil.signals import FloatArray, Hold
 
 RECEIVED = "received"
@@ -124,8 +125,8 @@ def read_bag(path: Path, wanted: Sequence[str]) -> BagColumns:
     TableError when the bag cannot be read or is empty.
     """
     purpose = f"{path}: a ROS 2 bag"
-    highlevel = the_package("rosbags.highlevel", "rosbags", purpose)
-    typesys = the_package("rosbags.typesys", "rosbags", purpose)
+    highlevel = load_optional("rosbags.highlevel", purpose)
+    typesys = load_optional("rosbags.typesys", purpose)
     store = typesys.get_typestore(typesys.Stores.LATEST)
     try:
         with highlevel.AnyReader([path], default_typestore=store) as reader:

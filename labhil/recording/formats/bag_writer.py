@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from labhil.errors import UsageError
-from labhil.recording.formats.columns import the_package
+from labhil.extras import load_optional
 from labhil.recording.reader import StreamData
 
 BAG_VERSION = 9
@@ -22,8 +22,8 @@ def write_bag(streams: Sequence[StreamData], out: Path) -> None:
     A message has ``header``, ``seq``, ``t`` (s, the time of analysis) and the signals (SI units).
     """
     purpose = f"{out}: writing a ROS 2 bag"
-    rosbag2 = the_package("rosbags.rosbag2", "rosbags", purpose)
-    typesys = the_package("rosbags.typesys", "rosbags", purpose)
+    rosbag2 = load_optional("rosbags.rosbag2", purpose)
+    typesys = load_optional("rosbags.typesys", purpose)
     store = typesys.get_typestore(typesys.Stores.LATEST)
     if out.exists():
         raise UsageError(f"{out}: expected a new folder for the bag, found one that exists")

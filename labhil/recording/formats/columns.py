@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labhil.errors import MissingExtraError
 from labhil.recording.formats.notation import Notation, is_missing
 from labhil.recording.formats.time_text import Stamps, stamps_of
 from labhil.signals import FloatArray, Hold, IntArray
@@ -146,11 +144,3 @@ def number_of(cell: Any, notation: Notation = Notation()) -> float:  # noqa: B00
     if isinstance(cell, time):
         return 3600.0 * cell.hour + 60.0 * cell.minute + cell.second + 1e-6 * cell.microsecond
     return notation.number(str(cell))
-
-
-def the_package(module: str, package: str, purpose: str) -> Any:
-    """Import what an optional package brings; MissingExtraError says which extra installs it."""
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        raise MissingExtraError(package, "formats", purpose) from error

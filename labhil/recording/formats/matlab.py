@@ -12,7 +12,7 @@ import numpy as np
 
 from labhil.bounds import ImplausibleError, refuse_claim
 from labhil.errors import TableError
-from labhil.recording.formats.columns import the_package
+from labhil.extras import load_optional
 from labhil.recording.formats.matlab_objects import advice, objects_in
 from labhil.recording.formats.variables import MOST_PARTS, Part, VariableColumns, table_of, variables_of
 from labhil.signals import FloatArray, Stream
@@ -65,7 +65,7 @@ def read_mat(path: Path, wanted: Sequence[str] = ()) -> VariableColumns:
 
 def read_hdf5(path: Path, wanted: Sequence[str] = ()) -> VariableColumns:
     """Read a MAT file of version 7.3, or any HDF5 file with columns, as :func:`read_mat` does."""
-    h5py = the_package("h5py", "h5py", f"{path}: a MAT file of version 7.3 (HDF5)")
+    h5py = load_optional("h5py", f"{path}: a MAT file of version 7.3 (HDF5)")
     size = path.stat().st_size
     try:
         with h5py.File(path, "r") as file:

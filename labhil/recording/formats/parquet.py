@@ -9,7 +9,8 @@ import numpy as np
 
 from labhil.bounds import ImplausibleError, refuse_claim
 from labhil.errors import TableError
-from labhil.recording.formats.columns import NumberColumns, number_columns, number_of, the_package
+from labhil.extras import load_optional
+from labhil.recording.formats.columns import NumberColumns, number_columns, number_of
 from labhil.signals import FloatArray, Stream
 
 
@@ -18,8 +19,8 @@ def read_parquet(path: Path) -> NumberColumns:
 
     Nulls and text are NaN; times are in s (Unix time), durations in s. TableError when it cannot be read.
     """
-    arrow = the_package("pyarrow", "pyarrow", f"{path}: a Parquet file")
-    parquet = the_package("pyarrow.parquet", "pyarrow", f"{path}: a Parquet file")
+    arrow = load_optional("pyarrow", f"{path}: a Parquet file")
+    parquet = load_optional("pyarrow.parquet", f"{path}: a Parquet file")
     try:
         file = parquet.ParquetFile(path)
         _refuse_claims(file.metadata, path.stat().st_size)
@@ -53,8 +54,8 @@ def _refuse_claims(metadata: Any, size: int) -> None:
 def write_parquet(stream: Stream, t: FloatArray, values: FloatArray, out: Path) -> None:
     """Write the columns ``t`` and the signals', with units in the fields' metadata."""
     purpose = f"{out}: writing a Parquet file"
-    arrow = the_package("pyarrow", "pyarrow", purpose)
-    parquet = the_package("pyarrow.parquet", "pyarrow", purpose)
+    arrow = load_optional("pyarrow", purpose)
+    parquet = load_optional("pyarrow.parquet", purpose)
     units = ["s", *(signal.unit for signal in stream.signals for _ in signal.columns())]
     fields = [
         arrow.field(name, arrow.float64(), metadata={"unit": unit})

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from labhil.bounds import ImplausibleError, refuse_claim
 from labhil.errors import TableError, UsageError, suggestion
-from labhil.recording.formats.columns import Columns, cell_text, number_of, read_stamps, the_package
+from labhil.extras import load_optional
+from labhil.recording.formats.columns import Columns, cell_text, number_of, read_stamps
 from labhil.recording.formats.notation import Notation, is_missing
 from labhil.recording.formats.time_text import Stamps, TimeKind
 from labhil.recording.units import is_units_line
@@ -81,7 +82,7 @@ def read_workbook(path: Path, table: Table, wanted: Sequence[str]) -> SheetColum
 
     Formulas count with the value that was calculated last. TableError when there is no such sheet.
     """
-    openpyxl = the_package("openpyxl", "openpyxl", f"{path}: a workbook (XLSX)")
+    openpyxl = load_optional("openpyxl", f"{path}: a workbook (XLSX)")
     try:
         with zipfile.ZipFile(path) as packed:
             refuse_claim(
@@ -122,7 +123,7 @@ def write_workbook(stream: Stream, t: FloatArray, values: FloatArray, out: Path)
 
     Numbers have 16 significant digits, one less than a double needs to come back to the last bit.
     """
-    openpyxl = the_package("openpyxl", "openpyxl", f"{out}: writing a workbook (XLSX)")
+    openpyxl = load_optional("openpyxl", f"{out}: writing a workbook (XLSX)")
     if len(t) > LARGEST_SHEET:
         raise UsageError(
             f"{out}: expected at most {LARGEST_SHEET} samples for one sheet, found {len(t)}; "

@@ -1,0 +1,337 @@
+"""What a lab at work costs: twin, host, recorder, worker and screen, for ten minutes. A command, no test:
+
+    python benchmarks/measuring/measure_soak.py --minutes 10 -o benchmarks/results/soak.json
+
+``labhil serve`` keeps a simulated DC motor up at 100 Hz, begins a new recording every minute, and its worker
+fits and diagnoses each of them. ``labhil tui`` shows three charts in a terminal of 160 x 50 characters (a
+pseudo-terminal that is read all the time). This program moves the motor on four sines over the bus, and notes
+every two seconds what each process has used. CPU is in per cent of one core; memory is what is resident.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import fcntl
+import math
+import os
+import platform
+import pty
+import re
+import signal
+import statistics
+import struct
+import subprocess
+import sys
+import tempfile
+import termios
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+
+from labhil.bus.ask import ask
+from labhil.bus.keys import command_key, setpoint_key
+from labhil.bus.publish import publish_command
+from labhil.bus.session import Bus, open_bus
+from labhil.recording.reader import StreamData, read_recording
+from labhil.service.messages import Setpoint
+from measured import tell
+
+LABHIL = [sys.executable, "-P", "-m", "labhil"]
+LAB = """
+[lab]
+name = "soak"
+roll = ROLL
+[devices.bench]
+plugin = "dc_motor"
+address = "twin"
+rig = "rig.toml"
+twin = { seed = 1 }
+"""
+RIG = """
+[rig]
+kind = "dc_motor"
+[known]
+inertia = 0.1
+[limits]
+voltage = { min = -12.0, max = 12.0, rate = 5000.0 }
+current = { min = -8.0, max = 8.0 }
+"""
+TONES = (0.11, 0.23, 0.57, 1.3)
+AMPLITUDE = 2.0
+COMMANDS_EVERY = 0.02
+LOOK_EVERY = 2.0
+SETTLED = 60.0
+"""Memory is compared with what it was after so many s, once buffers are filled."""
+PATIENCE = 60.0
+ROLES = (
+    ("labhil.service.host", "host"),
+    ("labhil.campaign.studies.study", "study"),
+    ("labhil twin", "twin"),
+    ("labhil serve", "serve (recorder, worker)"),
+    ("labhil tui", "tui"),
+)
+
+
+@dataclass
+class Usage:
+    """What the processes of one role used: one entry per look, and the total."""
+
+    at: list[float] = field(default_factory=list)
+    cpu: list[float] = field(default_factory=list)
+    memory: list[float] = field(default_factory=list)
+    seconds: float = 0.0
+
+
+class Meter:
+    """Looks at processes and their descendants; CPU seconds of those that ended in between are lost."""
+
+    def __init__(self, roots: list[int]) -> None:
+        self._roots = [psutil.Process(pid) for pid in roots]
+        self._before: dict[tuple[int, float], float] = {}
+        self.usage: dict[str, Usage] = defaultdict(Usage)
+        self.began = self._looked = time.monotonic()
+        self._first = True
+
+    def look(self) -> None:
+        now = time.monotonic()
+        cpu: dict[str, float] = defaultdict(float)
+        memory: dict[str, float] = defaultdict(float)
+        for process in self._all():
+            with contextlib.suppress(psutil.Error):
+                role = role_of(" ".join(process.cmdline()))
+                key = (process.pid, process.create_time())
+                times = process.cpu_times()
+                spent = times.user + times.system
+                cpu[role] += spent - self._before.get(key, spent if self._first else 0.0)
+                memory[role] += process.memory_info().rss / 1e6
+                self._before[key] = spent
+        for role, spent in cpu.items() if not self._first else ():
+            usage = self.usage[role]
+            usage.at.append(now - self.began)
+            usage.cpu.append(100 * spent / (now - self._looked))
+            usage.memory.append(memory[role])
+            usage.seconds += spent
+        self._looked, self._first = now, False
+
+    def _all(self) -> Iterator[psutil.Process]:
+        for root in self._roots:
+            with contextlib.suppress(psutil.Error):
+                yield root
+                yield from root.children(recursive=True)
+
+
+def role_of(command: str) -> str:
+    return next((role for sign, role in ROLES if sign in command), "other")
+
+
+@contextmanager
+def screen(folder: Path, endpoint: str, size: tuple[int, int], tab: str, said: list[bytes]) -> Iterator[int]:
+    """``labhil tui`` in a terminal of that many columns and rows; what it draws is read and counted."""
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", size[1], size[0], 0, 0))
+    command = [*LABHIL, "tui", "--folder", str(folder), "--connect", endpoint]
+    environment = {**os.environ, "TERM": "xterm-256color", "COLORTERM": "truecolor"}
+    process = subprocess.Popen(
+        command, stdin=theirs, stdout=theirs, stderr=theirs, env=environment, start_new_session=True
+    )
+    os.close(theirs)
+    reader = threading.Thread(target=drain, args=(ours, said))
+    reader.start()
+    try:
+        deadline = time.monotonic() + PATIENCE
+        while len(re.findall(rb"of \d+ signals", b"".join(said[-50:]))) == 0 and tab == "2":
+            if time.monotonic() > deadline:
+                raise TimeoutError("the screen shows no charts")
+            os.write(ours, tab.encode())
+            time.sleep(1.0)
+        os.write(ours, tab.encode())
+        yield process.pid
+        os.write(ours, b"q")
+        process.wait(PATIENCE)
+    finally:
+        process.kill()
+        process.wait()
+        reader.join()
+        os.close(ours)
+
+
+def drain(terminal: int, said: list[bytes]) -> None:
+    """Read until the other side is closed; only lengths are kept of what is old."""
+    while True:
+        try:
+            data = os.read(terminal, 1 << 16)
+        except OSError:
+            return
+        if not data:
+            return
+        said.append(data)
+        if len(said) > 200:
+            said[:100] = [b"".join(said[:100])[-1:]]
+
+
+@contextmanager
+def lab(folder: Path, roll: float) -> Iterator[tuple[int, str]]:
+    """``labhil serve`` with its process id and the endpoint of its bus."""
+    (folder / "lab.toml").write_text(LAB.replace("ROLL", repr(roll)), encoding="utf-8")
+    (folder / "rig.toml").write_text(RIG, encoding="utf-8")
+    with (folder / "said.txt").open("w", encoding="utf-8") as said:
+        command = [*LABHIL, "serve", "--config", "lab.toml"]
+        service = subprocess.Popen(command, cwd=folder, text=True, stdout=subprocess.PIPE, stderr=said)
+    assert service.stdout is not None
+    try:
+        yield service.pid, service.stdout.readline().strip()
+        service.send_signal(signal.SIGINT)
+        service.wait(PATIENCE)
+    finally:
+        service.kill()
+        service.wait()
+        service.stdout.close()
+
+
+class Mover:
+    """Moves the motor on four sines; setpoints go out fifty times a second."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._over = threading.Event()
+        answer = ask(
+            bus, command_key("bench", "lease"), {"action": "take", "holder": "soak"}, patience=PATIENCE
+        )
+        self._token = str(answer["token"])
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._over.set()
+        self._thread.join()
+        ask(self._bus, command_key("bench", "safe"), {"reason": "the soak is over"})
+
+    def _run(self) -> None:
+        began = time.monotonic()
+        while not self._over.wait(COMMANDS_EVERY):
+            t = time.monotonic() - began
+            volts = sum(AMPLITUDE * math.sin(2 * math.pi * tone * t) for tone in TONES)
+            setpoint = Setpoint(self._token, time.time_ns(), {"voltage": volts})
+            publish_command(self._bus, setpoint_key("bench"), setpoint.to_bytes())
+
+
+def soak(seconds: float, roll: float, size: tuple[int, int], tab: str, folder: Path) -> dict[str, Any]:
+    """Let all of it run; returns what it used and what was recorded."""
+    said: list[bytes] = []
+    load = []
+    with ExitStack() as stack:
+        service, endpoint = stack.enter_context(lab(folder, roll))
+        wait_for(folder, "is up")
+        bus = stack.enter_context(open_bus(endpoint))
+        mover = Mover(bus)
+        stack.callback(mover.close)
+        looks = stack.enter_context(screen(folder, endpoint, size, tab, said))
+        meter = Meter([service, looks])
+        meter.look()
+        while time.monotonic() - meter.began < seconds:
+            time.sleep(LOOK_EVERY)
+            meter.look()
+            load.append(os.getloadavg()[0])
+        # numbers of processes that are gone would be missing, so results are counted while all is up
+    return {
+        "processes": {role: used(usage, seconds) for role, usage in sorted(meter.usage.items())},
+        "recordings": recorded(folder),
+        "results": {kind: len(list(folder.glob(f"*.{kind}.json"))) for kind in ("fit", "diagnosis")},
+        "load_average": {"median": round(statistics.median(load), 1), "largest": round(max(load), 1)},
+    }
+
+
+def wait_for(folder: Path, words: str) -> None:
+    deadline = time.monotonic() + PATIENCE
+    while words not in (folder / "said.txt").read_text(encoding="utf-8"):
+        if time.monotonic() > deadline:
+            raise TimeoutError((folder / "said.txt").read_text(encoding="utf-8"))
+        time.sleep(0.1)
+
+
+def used(usage: Usage, seconds: float) -> dict[str, Any]:
+    """What one role used: shares of a core in per cent, memory in MB, its slope once settled in MB/h."""
+    at, memory = np.array(usage.at), np.array(usage.memory)
+    later = at >= min(SETTLED, at[-1] / 2)
+    slope = float(np.polyfit(at[later], memory[later], 1)[0]) * 3600 if later.sum() > 2 else None
+    return {
+        "cpu_percent": {
+            "mean": round(100 * usage.seconds / seconds, 1),
+            "median": round(statistics.median(usage.cpu), 1),
+            "largest": round(max(usage.cpu), 1),
+        },
+        "memory_mb": {
+            "start": round(float(memory[0]), 1),
+            "after_1_min": round(float(memory[later][0]), 1),
+            "end": round(float(memory[-1]), 1),
+            "largest": round(float(memory.max()), 1),
+        },
+        "slope_mb_per_hour": None if slope is None else round(slope, 1),
+        "looks": len(at),
+    }
+
+
+def recorded(folder: Path) -> dict[str, Any]:
+    """What the recordings say: each by itself, and all of them as one row of numbers."""
+    found: list[StreamData] = []
+    gaps = 0
+    for path in sorted(folder.glob("*.mcap")):
+        recording = read_recording(path)
+        if not recording.complete:
+            raise SystemExit(f"{path}: {recording.damage}")
+        found += [data for data in recording.streams if data.stream.name == "state"]
+        gaps += sum(data.lost for data in recording.streams)
+    seq, first = np.unique(np.concatenate([data.seq for data in found]), return_index=True)
+    t = np.concatenate([data.t_acq_ns for data in found])[first] * 1e-9
+    steps = np.diff(t)
+    return {
+        "files": len(found),
+        "samples": len(seq),
+        "gaps_within_files": gaps,
+        "missing_over_all_files": int(seq[-1] - seq[0] + 1 - len(seq)),
+        "samples_in_two_files": int(sum(len(data) for data in found) - len(seq)),
+        "rate_hz": round((len(seq) - 1) / float(t[-1] - t[0]), 3),
+        "step_ms": {
+            "median": round(1e3 * float(np.median(steps)), 3),
+            "p99_9": round(1e3 * float(np.percentile(steps, 99.9)), 3),
+            "largest": round(1e3 * float(steps.max()), 3),
+        },
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument("--roll", type=float, default=60.0, help="s; length of a recording")
+    parser.add_argument("--size", default="160x50", help="of the terminal")
+    parser.add_argument("--tab", default="2", help="the tab that is in front")
+    parser.add_argument("-o", "--out", type=Path)
+    options = parser.parse_args()
+    columns, rows = (int(part) for part in options.size.split("x"))
+    with tempfile.TemporaryDirectory() as directory:
+        os.environ["XDG_RUNTIME_DIR"] = directory
+        folder = Path(directory) / "lab"
+        folder.mkdir()
+        found = soak(60 * options.minutes, options.roll, (columns, rows), options.tab, folder)
+    result = {
+        "schema": "labhil.soak/1",
+        "minutes": options.minutes,
+        "roll_s": options.roll,
+        "terminal": options.size,
+        "machine": {"cores": os.cpu_count(), "python": platform.python_version()},
+        **found,
+    }
+    tell(result, options.out)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,9 +1,0 @@
-"""Chapter 5 of the reference text, table by table: its values, ours, the truth, and what the data allow."""
-
-from __future__ import annotations
-
-from labhil.campaign.reference.command import reference_command
-from labhil.campaign.reference.result import Reference
-from labhil.campaign.reference.run import run_reference
-
-__all__ = ["Reference", "reference_command", "run_reference"]

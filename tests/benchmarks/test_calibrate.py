@@ -1,0 +1,52 @@
+"""Stated probabilities follow the trials that they are fitted to."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.special import expit
+
+from labhil.diagnose.credence import credence, features
+from labhil.diagnose.evidence import Evidence
+from labhil.errors import UsageError
+from labhil_benchmarks.trials.calibrate import Claimed, calibrated, claimed_in
+
+WEIGHTS = np.array([2.0, -3.0, -0.8, 0.6])
+
+
+def claims(count: int, seed: int) -> list[Claimed]:
+    random = np.random.default_rng(seed)
+    found = []
+    for _ in range(count):
+        own = features(-(10.0 ** random.uniform(1.0, 4.0)), random.uniform(0.9, 2.5), random.integers(1, 4))
+        found.append(Claimed(own, bool(random.random() < expit(WEIGHTS @ own))))
+    return found
+
+
+def test_weights_are_found_again_within_their_errors():
+    fitted = calibrated(claims(4000, 1))
+    assert fitted.claims == 4000
+    assert np.all(np.abs(fitted.weights - WEIGHTS) < 3.5 * fitted.errors)
+    assert np.all(fitted.errors < 0.35)
+
+
+def test_a_few_claims_that_are_all_right_have_finite_weights():
+    every = [Claimed(claim.features, True) for claim in claims(12, 2)]
+    fitted = calibrated(every)
+    assert (fitted.claims, fitted.right) == (12, 12)
+    assert np.all(np.isfinite(fitted.weights[1:]))
+
+
+def test_what_is_fitted_is_what_is_stated():
+    assert credence(Evidence(-100.0, 1e-6, 50.0), 1.0, 1) == pytest.approx(expit(2.2))
+    assert features(-1000.0, 0.8, 3).tolist() == [1.0, 0.0, 2.0, 1.0]
+
+
+def test_nothing_claimed_and_an_arm_are_refused(tmp_path):
+    with pytest.raises(UsageError, match="found none"):
+        calibrated([])
+    (tmp_path / "trials.json").write_text(
+        '{"schema": "labhil.trials/1", "rig": "ur5", "fixed_seed": true, "trials": []}'
+    )
+    with pytest.raises(UsageError, match="found an arm"):
+        claimed_in(tmp_path)
