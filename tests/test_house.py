@@ -59,14 +59,14 @@ def test_a_host_loads_nothing_of_the_analysis(tmp_path: Path) -> None:
 
 
 def test_the_analysis_loads_no_bus_and_no_device(tmp_path: Path) -> None:
-    rooms = ("recording", "physics", "identify", "diagnose", "report")
+    rooms = ("recording", "physics", "identify", "diagnose", "analysis", "report")
     names = [name for room in rooms for name in modules_of(f"labhil.{room}")]
     assert loaded(f"import {', '.join(names)}", ACQUISITION, tmp_path) == []
 
 
 def test_neither_a_run_nor_a_fit_loads_the_terminal_ui(tmp_path: Path) -> None:
     code = (
-        "import labhil.experiment.run, labhil.experiment.show, labhil.service.host, labhil.report.study\n"
+        "import labhil.experiment.run, labhil.experiment.show, labhil.service.host, labhil.analysis.study\n"
         "import labhil.report.text, labhil.commands.acquisition, labhil.commands.analysis\n"
         "import labhil.commands.tui\n"
     )

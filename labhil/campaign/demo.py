@@ -20,14 +20,14 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from labhil.analysis.material import load_material
+from labhil.analysis.results import write_json
+from labhil.analysis.study import diagnose_study
 from labhil.diagnose.answer import Diagnosis
 from labhil.errors import LimitTrippedError, RunError
 from labhil.experiment.experiment import Experiment, load_experiment
 from labhil.experiment.run import Progress, RunResult, answer_path, run_experiment
-from labhil.report.material import load_material
 from labhil.report.plots import diagnosis_plot
-from labhil.report.results import write_json
-from labhil.report.study import diagnose_study
 from labhil.report.text import show_diagnosis
 from labhil.terminal import terminal
 

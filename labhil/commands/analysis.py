@@ -119,13 +119,13 @@ def fit(
 
     Several recordings of a rig are fitted together: they share all values but those of --per-recording.
     """
+    from labhil.analysis.kept_curve import curve_note
+    from labhil.analysis.material import load_material
+    from labhil.analysis.study import fit_study
     from labhil.identify.estimators import estimator_named
     from labhil.identify.fit import Options, criterion_named
     from labhil.identify.intervals import interval_method
     from labhil.report.faults import fault_lines
-    from labhil.report.kept_curve import curve_note
-    from labhil.report.material import load_material
-    from labhil.report.study import fit_study
     from labhil.report.text import show_fit
 
     refuse_unwritable(json_path, plot, html)
@@ -179,9 +179,9 @@ def diagnose(
 
     Several recordings of a rig are searched together: they share all values but those of --per-recording.
     """
-    from labhil.report.kept_curve import curve_note
-    from labhil.report.material import load_material
-    from labhil.report.study import diagnose_study
+    from labhil.analysis.kept_curve import curve_note
+    from labhil.analysis.material import load_material
+    from labhil.analysis.study import diagnose_study
     from labhil.report.text import show_diagnosis
 
     refuse_unwritable(json_path, plot, html)
@@ -224,7 +224,8 @@ def verify(
     Tests the windowed simulation with the values as they are, whether the refitted model leaves residuals
     that go with the input, and whether refitted values differ from the accepted ones.
     """
-    from labhil.report.verification import show_verification, verify_study
+    from labhil.analysis.verification import verify_study
+    from labhil.report.verification import show_verification
 
     refuse_unwritable(json_path)
     with status() as say:
@@ -263,8 +264,8 @@ def linear(
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
 ) -> None:
     """Fit linear and black-box baselines, to see what physics is worth: ARX, OE, state space, NARX, …"""
+    from labhil.analysis.material import load_material
     from labhil.identify.linear import linear_study, study_json, study_text
-    from labhil.report.material import load_material
 
     refuse_unwritable(json_path)
     material = load_material(recording, rig, test, holdout, run=run)

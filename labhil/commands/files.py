@@ -33,9 +33,9 @@ def import_(
     out: Annotated[Path, typer.Option("-o", "--out", help="The recording to write (.mcap).")],
 ) -> None:
     """Make a recording of a table that others wrote."""
+    from labhil.analysis.import_check import checked
     from labhil.recording.reader import read_recording
     from labhil.recording.tables import describe_import, import_table, write_import
-    from labhil.report.import_check import checked
     from labhil.rig import load_rig
 
     table = import_table(data, load_rig(rig))

@@ -9,6 +9,7 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from labhil.analysis.verdicts import VERDICTS, verdict_line
 from labhil.diagnose.answer import Diagnosis
 from labhil.identify.fit import Fit
 from labhil.identify.score import ChannelScore, Figures, Score
@@ -17,7 +18,6 @@ from labhil.physics.model import Metric
 from labhil.physics.terms import keyed, listed
 from labhil.report.absent import joints_table, of_joints, silences
 from labhil.report.html.quantity import NOTHING, quantity, squared
-from labhil.report.verdicts import VERDICTS, verdict_line
 
 NOT_THERE = "Not there, or smaller than this (99 %)"
 

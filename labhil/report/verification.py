@@ -1,108 +1,15 @@
-"""A verification: from files to the answer, as tables for a person and as JSON."""
+"""A verification as tables for a person."""
 
 from __future__ import annotations
-
-import time
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from labhil.diagnose.verify import ALPHA, Verification, verify
-from labhil.errors import ModelFileError, RecordingError, UsageError
-from labhil.identify.windows import FEWEST_SAMPLES
-from labhil.physics.model import Record
-from labhil.physics.rigs import model_for, record_of
+from labhil.analysis.verdicts import verdict_line
+from labhil.diagnose.verify import Verification
 from labhil.physics.terms import keyed
-from labhil.recording.reader import read_recording
-from labhil.report.kept_curve import under_kept_curve
-from labhil.report.material import refuse_holes, rig_of
-from labhil.report.results import Source, accepted_of, finite, score_json
 from labhil.report.text import small
-from labhil.report.verdicts import verdict_line
-
-
-@dataclass(frozen=True, slots=True)
-class VerificationResult:
-    """A verification with its JSON; ``losses`` are what the recording lacks, a line each."""
-
-    verification: Verification
-    losses: tuple[str, ...]
-    json: Any
-
-
-def verify_study(
-    path: Path,
-    model_path: Path,
-    rig_path: Path | None = None,
-    *,
-    alpha: float = ALPHA,
-    device: str | None = None,
-    run: int | None = None,
-    progress: Callable[[str], None] = lambda text: None,
-) -> VerificationResult:
-    """Hold a recording, or what it holds of one ``device`` or ``run``, against a result's model.
-
-    Raises UsageError (RecordingError, RigFileError, ModelFileError) with what is wrong and where.
-    """
-    if not 0.0 < alpha < 0.5:
-        raise UsageError(f"--alpha: expected a probability above 0 and below 0.5, found {alpha:g}")
-    began = time.perf_counter()
-    accepted = accepted_of(model_path)
-    recording = read_recording(path, run).of_device(device)
-    rig = rig_of(recording, rig_path)
-    if accepted.rig not in (None, rig.kind.name):
-        raise ModelFileError(
-            f"{model_path}: rig: expected a model of {rig.kind.name}, as the recording {path}, "
-            f"found one of {accepted.rig}"
-        )
-    record = record_of(recording, rig.kind)
-    refuse_holes(path, record)
-    if len(record) < 2 * FEWEST_SAMPLES:
-        raise RecordingError(
-            f"{path}: too short to verify: {len(record)} samples, at least {2 * FEWEST_SAMPLES} are needed"
-        )
-    model = under_kept_curve(model_for(rig, record), model_path)
-    found = verify(model, model.prepare(record), accepted, alpha=alpha, progress=progress)
-    source = Source(str(path), recording.sha256, model.kind, len(record), _duration(record), "test")
-    seconds = time.perf_counter() - began
-    data = verification_json(found, source, model_path, seconds)
-    return VerificationResult(found, tuple(recording.losses()), data)
-
-
-def _duration(record: Record) -> float:
-    return float(record.t[-1] - record.t[0])
-
-
-def verification_json(found: Verification, source: Source, model_path: Path, seconds: float) -> Any:
-    """The whole answer as plain JSON data (`labhil.verification/1`): no NaN, no infinity, null instead."""
-    return finite(
-        {
-            "schema": "labhil.verification/1",
-            "recordings": [asdict(source)],
-            "model": str(model_path),
-            "rig": source.rig,
-            "terms": list(found.refit.terms),
-            "verdict": "consistent" if found.consistent else "contradicted",
-            "alpha": found.alpha,
-            "p_value": found.p_value,
-            "reasons": list(found.reasons),
-            "notes": list(found.notes),
-            "adequacy": found.adequacy.verdict.value,
-            "residual_over_noise": dict(found.adequacy.residual_over_noise),
-            "score": score_json(found.score),
-            "channels": [asdict(channel) for channel in found.channels],
-            "values_p": found.values_p,
-            "parameters": [asdict(change) for change in found.changes],
-            "worst_windows": [asdict(window) for window in found.worst],
-            "window": found.window,
-            "seconds": seconds,
-        }
-    )
 
 
 def show_verification(found: Verification, console: Console) -> None:

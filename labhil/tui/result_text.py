@@ -8,10 +8,7 @@ from pathlib import Path
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from labhil.physics.terms import keyed, listed
-from labhil.report.absent import joints_table, of_joints, silences
-from labhil.report.html.quantity import chance, interval, multiple, p_value, percent, quantity
-from labhil.report.html.schema import (
+from labhil.analysis.schema import (
     ChannelErrors,
     DiagnosisPart,
     FitPart,
@@ -21,7 +18,10 @@ from labhil.report.html.schema import (
     RivalPart,
     ScorePart,
 )
-from labhil.report.verdicts import FIT_VERDICTS, VERDICTS
+from labhil.analysis.verdicts import FIT_VERDICTS, VERDICTS
+from labhil.physics.terms import keyed, listed
+from labhil.report.absent import joints_table, of_joints, silences
+from labhil.report.html.quantity import chance, interval, multiple, p_value, percent, quantity
 from labhil.tui.words import PlainTable
 
 Colours = dict[str, str]

@@ -15,10 +15,10 @@ from textual.containers import Container, Vertical, VerticalScroll
 from textual.widgets import DataTable, Static
 from textual.widgets.data_table import CellDoesNotExist
 
+from labhil.analysis.schema import CurvePart, DiagnosisPart, FitPart, json_of, result_of
 from labhil.campaign.studies.curves import read_curves
 from labhil.campaign.studies.jobs import Job, Jobs
 from labhil.errors import LabhilError
-from labhil.report.html.schema import CurvePart, DiagnosisPart, FitPart, json_of, result_of
 from labhil.signals import FloatArray
 from labhil.tui.curve import Curve, Pen
 from labhil.tui.plot import Chart

@@ -22,12 +22,12 @@ from typing import Any
 
 import numpy as np
 
+from labhil.analysis.material import load_material
 from labhil.campaign.reference import published
 from labhil.campaign.reference.known_start import KnownStart
 from labhil.campaign.reference.levels import Levels
 from labhil.identify.fitted import start_theta
 from labhil.physics.model import Windows
-from labhil.report.material import load_material
 
 HERE = Path(__file__).parent
 SEVERAL = "viscous_friction,coulomb_friction,stribeck_friction"

@@ -14,10 +14,10 @@ from rich.console import Console
 sys.path.insert(0, str(Path(__file__).parent))
 from one_input_rigs import Replay, replay, staircase
 
+from labhil.analysis.verdicts import fit_verdict
 from labhil.identify.adequacy import EXPLAINED_TO, FitVerdict, adequacy_of
 from labhil.identify.fit import Fit, Options, fit
 from labhil.report.text import show_fit
-from labhil.report.verdicts import fit_verdict
 
 TERMS = ["viscous_friction", "coulomb_friction"]
 FAST = Options(estimator="nlse")

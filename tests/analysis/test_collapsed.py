@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labhil.analysis.results import finite
 from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.collapsed import NEAR, given_way, kept_near
 from labhil.diagnose.diagnosis import _changes, data_of
@@ -16,7 +17,6 @@ from labhil.identify.statistics import stated
 from labhil.physics.ball_beam import BallBeamModel
 from labhil.physics.model import Record
 from labhil.physics.terms import Parameter
-from labhil.report.results import finite
 from labhil.rig import parse_rig
 
 GAIN = 5.0 / 7.0 * 9.81

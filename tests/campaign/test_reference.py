@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from labhil.analysis.results import finite
 from labhil.campaign.reference import findings, published, run_reference
 from labhil.campaign.reference.command import reference_command
 from labhil.campaign.reference.levels import Levels
@@ -20,7 +21,6 @@ from labhil.campaign.reference.studies import STUDIES, studies_of
 from labhil.campaign.reference.study import Bench
 from labhil.errors import UnknownNameError, UsageError
 from labhil.identify.problem import Point
-from labhil.report.results import finite
 
 pytestmark = pytest.mark.extended
 

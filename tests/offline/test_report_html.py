@@ -14,15 +14,15 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from labhil.analysis.schema import DiagnosisPart, FitPart, checked
+from labhil.analysis.verdicts import VERDICTS
 from labhil.recording.writer import RecordingWriter
 from labhil.report.html.diagnosis import diagnosis_page
 from labhil.report.html.element import tag
 from labhil.report.html.fit import fit_page
 from labhil.report.html.picture import Album
 from labhil.report.html.quantity import chance, interval, percent, quantity
-from labhil.report.html.schema import DiagnosisPart, FitPart, checked
 from labhil.report.html.signals import STRETCHES, envelope
-from labhil.report.verdicts import VERDICTS
 from labhil.signals import Batch, Direction, Signal, Stream
 from labhil.tui.result_text import result_renderable
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from labhil.analysis.results import values_of
+from labhil.analysis.schema import FitPart, checked
 from labhil.campaign.benchmark.cases import driven, levels
-from labhil.report.html.schema import FitPart, checked
-from labhil.report.results import values_of
 
 RIG = '[rig]\nkind = "axis"\n[metric]\nhorizon = 1.0\n'
 TERMS = "viscous_friction,coulomb_friction,constant_force"

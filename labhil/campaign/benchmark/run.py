@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from labhil.analysis.results import finite
 from labhil.campaign.benchmark.cases import CASES
 from labhil.campaign.benchmark.kept import Job, Progress, each_once, numbers
 from labhil.campaign.benchmark.starts import Arrival, Arrivals, arrive
 from labhil.campaign.benchmark.summary import Summary, summarise
 from labhil.campaign.benchmark.trial import Case, Row, Trial, run_trial
 from labhil.errors import UnknownNameError, UsageError
-from labhil.report.results import finite
 from labhil.whole import whole
 
 

@@ -7,12 +7,12 @@ from pathlib import Path
 
 from rich.console import Console
 
+from labhil.analysis.results import write_json
 from labhil.campaign.reference.page import page
 from labhil.campaign.reference.published import NUMBERS
 from labhil.campaign.reference.result import Reference
 from labhil.campaign.reference.run import Progress, run_reference
 from labhil.campaign.reference.show import show_reference
-from labhil.report.results import write_json
 from labhil.terminal import terminal
 from labhil.whole import whole
 

@@ -15,6 +15,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from labhil.analysis.results import finite, write_json
 from labhil.campaign.reference.findings import findings
 from labhil.campaign.reference.parts import FULL, PARTS, QUICK, Effort, Part, parts_of
 from labhil.campaign.reference.published import NUMBERS
@@ -32,7 +33,6 @@ from labhil.campaign.reference.studies import STUDIES, studies_of
 from labhil.campaign.reference.study import Bench, Study
 from labhil.campaign.reference.tables import Computed, tables_of
 from labhil.errors import RunStoppedError, UsageError
-from labhil.report.results import finite, write_json
 
 Progress = Callable[[str], None]
 Job = tuple[str, str]

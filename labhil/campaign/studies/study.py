@@ -73,23 +73,23 @@ def do(task: Task) -> dict[str, Any]:
         return {"done": [str(_export(path)) for path in task.recordings]}
     if task.kind == "verify":
         return _verify(task)
-    from labhil.report.material import load_material
+    from labhil.analysis.material import load_material
 
     progress(f"reading {first.name}")
     material = load_material(task.recordings, None, task.tests or None, **_holdout(task))
     for line in material.losses():
         progress(line)
     if task.kind == "fit":
+        from labhil.analysis.study import fit_study
+        from labhil.analysis.verdicts import verdict_line
         from labhil.campaign.studies.curves import curves_of_fit
         from labhil.identify.fit import Options
-        from labhil.report.study import fit_study
-        from labhil.report.verdicts import verdict_line
 
         fitted = fit_study(material, start=task.model, options=Options(progress=progress))
         path = _write(first.parent, stem, "fit", fitted.json, curves_of_fit(fitted))
         return {"done": str(path), "verdict": verdict_line(fitted.fit.adequacy)}
+    from labhil.analysis.study import diagnose_study
     from labhil.campaign.studies.curves import curves_of_diagnosis
-    from labhil.report.study import diagnose_study
 
     found = diagnose_study(material, reference=task.model, progress=progress)
     return {"done": str(_write(first.parent, stem, "diagnosis", found.json, curves_of_diagnosis(found)))}
@@ -130,7 +130,8 @@ def _export(path: Path) -> Path:
 
 
 def _verify(task: Task) -> dict[str, Any]:
-    from labhil.report.verification import show_verification, verify_study
+    from labhil.analysis.verification import verify_study
+    from labhil.report.verification import show_verification
     from labhil.terminal import terminal
 
     assert task.model is not None

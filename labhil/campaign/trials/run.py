@@ -18,6 +18,8 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
+from labhil.analysis.material import load_material
+from labhil.analysis.study import diagnose_study
 from labhil.campaign.trials.folder import (
     DIAGNOSE,
     EVIDENCE,
@@ -31,8 +33,6 @@ from labhil.campaign.trials.folder import (
 from labhil.campaign.trials.seal import sha256_of
 from labhil.campaign.trials.stepwise import stepwise_study
 from labhil.errors import UsageError
-from labhil.report.material import load_material
-from labhil.report.study import diagnose_study
 
 SCHEMA = "labhil.diagnosis/1"
 Progress = Callable[[str], None]

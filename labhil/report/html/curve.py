@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
+from labhil.analysis.schema import CurvePart
 from labhil.report.figure import AFTER, figure_of, finish
 from labhil.report.html.element import Markup
 from labhil.report.html.picture import Album, label
-from labhil.report.html.schema import CurvePart
 from labhil.signals import FloatArray
 
 

@@ -4,6 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from labhil.analysis.schema import (
+    ChannelImprovement,
+    DiagnosisPart,
+    ImprovementPart,
+    Interval,
+    LocationPart,
+    MissingPart,
+    RivalPart,
+)
+from labhil.analysis.verdicts import VERDICTS
 from labhil.physics.terms import keyed
 from labhil.report.absent import OfJoints, joints_in, of_joints, silences
 from labhil.report.html.curve import curve_picture
@@ -21,17 +31,7 @@ from labhil.report.html.model import (
 from labhil.report.html.page import Page, Section, present, section
 from labhil.report.html.picture import Album
 from labhil.report.html.quantity import chance, interval, multiple, p_value, percent, quantity
-from labhil.report.html.schema import (
-    ChannelImprovement,
-    DiagnosisPart,
-    ImprovementPart,
-    Interval,
-    LocationPart,
-    MissingPart,
-    RivalPart,
-)
 from labhil.report.html.table import bullets, facts, numbers, table, text, tiles
-from labhil.report.verdicts import VERDICTS
 
 P_VALUES = {
     "bootstrap": "It was counted in a bootstrap",

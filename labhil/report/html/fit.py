@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from labhil.analysis.schema import ChannelErrors, FitPart, IdentifiabilityPart, ParameterRow, ScorePart
 from labhil.report.figure import AFTER, MEASURED, figure_of, finish
 from labhil.report.html.element import Content, Markup, tag
 from labhil.report.html.model import (
@@ -21,7 +22,6 @@ from labhil.report.html.model import (
 from labhil.report.html.page import Page, Section, present, section
 from labhil.report.html.picture import Album, label
 from labhil.report.html.quantity import count, multiple, p_value, percent, quantity, squared
-from labhil.report.html.schema import ChannelErrors, FitPart, IdentifiabilityPart, ParameterRow, ScorePart
 from labhil.report.html.table import bullets, facts, numbers, table, text, tiles
 from labhil.signals import FloatArray
 

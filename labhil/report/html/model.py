@@ -8,12 +8,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from labhil.analysis.schema import ChannelErrors, ChannelImprovement, ParameterRow, Source
 from labhil.physics.terms import keyed, listed
 from labhil.report.figure import AFTER, figure_of, finish
 from labhil.report.html.element import Content, Markup, joined, tag
 from labhil.report.html.picture import Album, label
 from labhil.report.html.quantity import NOTHING, count, interval, p_value, percent, quantity
-from labhil.report.html.schema import ChannelErrors, ChannelImprovement, ParameterRow, Source
 from labhil.report.html.table import numbers, table, text
 
 WIDEST = 120.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
+from labhil.analysis.schema import DiagnosisPart, json_of, result_of
 from labhil.errors import ModelFileError, RecordingError, UsageError
 from labhil.recording.chunks import is_mcap
 from labhil.recording.reader import read_recording
@@ -13,7 +14,6 @@ from labhil.report.html.fit import fit_page
 from labhil.report.html.page import Page
 from labhil.report.html.picture import Album
 from labhil.report.html.recording import recording_page
-from labhil.report.html.schema import DiagnosisPart, json_of, result_of
 
 
 def report_page(path: Path, run: int | None = None) -> Page:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from labhil.analysis.schema import DiagnosisPart, FitPart, checked
+from labhil.analysis.study import DiagnosisResult, FitResult
 from labhil.physics.terms import keyed
 from labhil.report.fit_plot import fit_figure
 from labhil.report.html.diagnosis import diagnosis_page
@@ -11,9 +13,7 @@ from labhil.report.html.element import Markup
 from labhil.report.html.fit import fit_page
 from labhil.report.html.page import write_page
 from labhil.report.html.picture import Album
-from labhil.report.html.schema import DiagnosisPart, FitPart, checked
 from labhil.report.plots import channel_figure, diagnosis_figure, located
-from labhil.report.study import DiagnosisResult, FitResult
 
 
 def write_fit_page(result: FitResult, path: Path) -> None:

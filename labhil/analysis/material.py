@@ -11,6 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from labhil.analysis.results import Source
+from labhil.analysis.still import constant
 from labhil.diagnose.fault import Fault
 from labhil.diagnose.intake import with_censored
 from labhil.diagnose.timing import all_faults
@@ -23,8 +25,6 @@ from labhil.physics.rigs import model_for, record_of
 from labhil.physics.several import several
 from labhil.physics.solenoid import SolenoidModel
 from labhil.recording.reader import Recording, read_recordings
-from labhil.report.results import Source
-from labhil.report.still import constant
 from labhil.rig import RigFile, load_rig
 
 HOLDOUT = 0.3

@@ -10,10 +10,10 @@ from typing import Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from labhil.analysis.verdicts import fit_verdict
 from labhil.documents import parse_json
 from labhil.errors import ModelFileError
 from labhil.physics.terms import keyed
-from labhil.report.verdicts import fit_verdict
 
 Number = float | None
 Interval = tuple[Number, Number]

@@ -8,6 +8,10 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from labhil.analysis.kept_curve import curves_json, under_kept_curve
+from labhil.analysis.material import Material
+from labhil.analysis.results import accepted_of, diagnosis_json, fit_json, terms_of, values_of
+from labhil.analysis.still import refuse_still
 from labhil.diagnose.answer import Diagnosis
 from labhil.diagnose.diagnosis import SEARCH, diagnose
 from labhil.errors import UnknownNameError, UsageError
@@ -17,10 +21,6 @@ from labhil.identify.windows import FEWEST_IN_WINDOW
 from labhil.physics.model import Model, index_of, terms_named
 from labhil.physics.rigs import rig_model
 from labhil.physics.several import for_every_recording
-from labhil.report.kept_curve import curves_json, under_kept_curve
-from labhil.report.material import Material
-from labhil.report.results import accepted_of, diagnosis_json, fit_json, terms_of, values_of
-from labhil.report.still import refuse_still
 
 Progress = Callable[[str], None]
 
