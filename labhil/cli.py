@@ -47,7 +47,7 @@ def main() -> None:
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from labhil import __version__
+        from labhil.version import __version__
 
         show(f"labhil {__version__}")
         raise typer.Exit

@@ -86,6 +86,19 @@ def test_the_command_line_itself_loads_neither(tmp_path: Path) -> None:
     assert loaded("import labhil.cli", (*ANALYSIS, *ACQUISITION, "numpy"), tmp_path) == []
 
 
+def test_importing_labhil_loads_nothing_of_either_wing(tmp_path: Path) -> None:
+    suspects = (*ANALYSIS, *ACQUISITION, "numpy", "pydantic", "rich", "pandas")
+    assert loaded("import labhil as lh\nassert 'fit' in dir(lh)", suspects, tmp_path) == []
+
+
+def test_acquiring_from_python_loads_no_analysis_and_reading_no_device(tmp_path: Path) -> None:
+    code = "import labhil as lh\nlh.connect('dc_motor', 'twin')\nlh.run, lh.Experiment, lh.read"
+    assert loaded(code, ANALYSIS, tmp_path) == []
+    recording = ROOT / "recordings" / "ball_beam_test.mcap"
+    code = f"import labhil as lh\nlh.read({str(recording)!r})['ball_position']\nlh.fit, lh.diagnose, lh.load"
+    assert loaded(code, (*ACQUISITION, "numba", "matplotlib"), tmp_path) == []
+
+
 def test_names_of_plugins_are_listed_without_importing_them(tmp_path: Path) -> None:
     code = "import labhil.plugins as p\nassert p.names(p.DRIVERS) and p.names(p.TWINS)\n"
     assert loaded(code, ("labhil_ball_beam", "labhil_sim_ball_beam"), tmp_path) == []

@@ -5,12 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import Any
 
-from labhil.analysis.kept_curve import curves_json, under_kept_curve
+from labhil.analysis.kept_curve import curve_note, curves_json, under_kept_curve
 from labhil.analysis.material import Material
-from labhil.analysis.results import accepted_of, diagnosis_json, fit_json, terms_of, values_of
+from labhil.analysis.results import Reference, accepted_of, diagnosis_json, fit_json, terms_of, values_of
+from labhil.analysis.schema import DiagnosisPart, FitPart, checked
 from labhil.analysis.still import refuse_still
 from labhil.diagnose.answer import Diagnosis
 from labhil.diagnose.diagnosis import SEARCH, diagnose
@@ -27,29 +27,37 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class FitResult:
-    """A fit with its JSON; ``doubts`` say what is implausible in the data."""
+    """A fit with its JSON."""
 
     fit: Fit
     material: Material
     json: Any
-    doubts: Sequence[str] = ()
+
+    @property
+    def part(self) -> FitPart:
+        """What the JSON says, as it is printed and drawn."""
+        return checked(FitPart, self.json, "the fit")
 
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisResult:
-    """A diagnosis with its JSON; ``doubts`` say what is implausible in the data."""
+    """A diagnosis with its JSON."""
 
     diagnosis: Diagnosis
     material: Material
     json: Any
-    doubts: Sequence[str] = ()
+
+    @property
+    def part(self) -> DiagnosisPart:
+        """What the JSON says, as it is printed and drawn."""
+        return checked(DiagnosisPart, self.json, "the diagnosis")
 
 
 def fit_study(
     material: Material,
     *,
     terms: Sequence[str] | None = None,
-    start: Path | None = None,
+    start: Reference | None = None,
     options: Options | None = None,
 ) -> FitResult:
     """Fit a model; ``start`` is a fit or diagnosis file to begin at, whose curve, if any, is kept.
@@ -79,8 +87,9 @@ def fit_study(
     sources = material.sources("train")
     data = fit_json(result, sources, model.kind, how.estimator, how.seed, seconds, curves_json(model))
     data["faults"] = [asdict(fault) for fault in material.faults()]
-    doubts = material.doubts(misfit=not result.adequacy.explained)
-    return FitResult(result, material, {**data, "doubts": doubts}, doubts)
+    data["doubts"] = material.doubts(misfit=not result.adequacy.explained)
+    data["notes"] = [*material.notes(), *curve_note(start)]
+    return FitResult(result, material, data)
 
 
 def _with_own(model: Model, terms: Sequence[str], *, stated: bool) -> tuple[str, ...]:
@@ -103,7 +112,7 @@ def diagnose_study(
     material: Material,
     *,
     baseline: Sequence[str] | None = None,
-    reference: Path | None = None,
+    reference: Reference | None = None,
     progress: Progress = lambda text: None,
     method: str = SEARCH,
 ) -> DiagnosisResult:
@@ -128,12 +137,13 @@ def diagnose_study(
             progress=progress,
             method=method,
         )
-    doubts = material.doubts(misfit=diagnosis.verdict != "no_mismatch")
     data = diagnosis_json(diagnosis, material.sources("search"))
-    return DiagnosisResult(diagnosis, material, {**data, "doubts": doubts}, doubts)
+    data["doubts"] = material.doubts(misfit=diagnosis.verdict != "no_mismatch")
+    data["notes"] = [*material.notes(), *curve_note(reference)]
+    return DiagnosisResult(diagnosis, material, data)
 
 
-def _reference_values(material: Material, reference: Path | None) -> Mapping[str, float] | None:
+def _reference_values(material: Material, reference: Reference | None) -> Mapping[str, float] | None:
     if reference is not None:
         return for_every_recording(material.model, values_of(reference))
     known = index_of(material.model.parameters)

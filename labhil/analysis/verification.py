@@ -9,14 +9,16 @@ from pathlib import Path
 from typing import Any
 
 from labhil.analysis.kept_curve import under_kept_curve
-from labhil.analysis.material import refuse_holes, rig_of
-from labhil.analysis.results import Source, accepted_of, finite, score_json
+from labhil.analysis.material import Taken, refuse_holes, rig_of
+from labhil.analysis.results import Reference, Source, accepted_of, finite, score_json
+from labhil.analysis.schema import VerificationPart, checked
 from labhil.diagnose.verify import ALPHA, Verification, verify
 from labhil.errors import ModelFileError, RecordingError, UsageError
 from labhil.identify.windows import FEWEST_SAMPLES
 from labhil.physics.model import Record
 from labhil.physics.rigs import model_for, record_of
 from labhil.recording.reader import read_recording
+from labhil.rig import RigFile
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,11 +29,16 @@ class VerificationResult:
     losses: tuple[str, ...]
     json: Any
 
+    @property
+    def part(self) -> VerificationPart:
+        """What the JSON says, as it is printed."""
+        return checked(VerificationPart, self.json, "the verification")
+
 
 def verify_study(
-    path: Path,
-    model_path: Path,
-    rig_path: Path | None = None,
+    taken: Taken,
+    model_file: Reference,
+    rig_file: Path | RigFile | None = None,
     *,
     alpha: float = ALPHA,
     device: str | None = None,
@@ -45,12 +52,12 @@ def verify_study(
     if not 0.0 < alpha < 0.5:
         raise UsageError(f"--alpha: expected a probability above 0 and below 0.5, found {alpha:g}")
     began = time.perf_counter()
-    accepted = accepted_of(model_path)
-    recording = read_recording(path, run).of_device(device)
-    rig = rig_of(recording, rig_path)
+    accepted = accepted_of(model_file)
+    recording = (read_recording(taken, run) if isinstance(taken, Path) else taken).of_device(device)
+    path, rig = recording.path, rig_of(recording, rig_file)
     if accepted.rig not in (None, rig.kind.name):
         raise ModelFileError(
-            f"{model_path}: rig: expected a model of {rig.kind.name}, as the recording {path}, "
+            f"{model_file}: rig: expected a model of {rig.kind.name}, as the recording {path}, "
             f"found one of {accepted.rig}"
         )
     record = record_of(recording, rig.kind)
@@ -59,11 +66,11 @@ def verify_study(
         raise RecordingError(
             f"{path}: too short to verify: {len(record)} samples, at least {2 * FEWEST_SAMPLES} are needed"
         )
-    model = under_kept_curve(model_for(rig, record), model_path)
+    model = under_kept_curve(model_for(rig, record), model_file)
     found = verify(model, model.prepare(record), accepted, alpha=alpha, progress=progress)
     source = Source(str(path), recording.sha256, model.kind, len(record), _duration(record), "test")
     seconds = time.perf_counter() - began
-    data = verification_json(found, source, model_path, seconds)
+    data = verification_json(found, source, model_file, seconds)
     return VerificationResult(found, tuple(recording.losses()), data)
 
 
@@ -71,13 +78,13 @@ def _duration(record: Record) -> float:
     return float(record.t[-1] - record.t[0])
 
 
-def verification_json(found: Verification, source: Source, model_path: Path, seconds: float) -> Any:
+def verification_json(found: Verification, source: Source, model_file: Reference, seconds: float) -> Any:
     """The whole answer as plain JSON data (`labhil.verification/1`): no NaN, no infinity, null instead."""
     return finite(
         {
             "schema": "labhil.verification/1",
             "recordings": [asdict(source)],
-            "model": str(model_path),
+            "model": str(model_file),
             "rig": source.rig,
             "terms": list(found.refit.terms),
             "verdict": "consistent" if found.consistent else "contradicted",

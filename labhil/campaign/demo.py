@@ -86,7 +86,7 @@ def run_demo(out: Path, seed: int | None, say: Say) -> None:
     console.print(f"What the twin conceals is sealed: SHA-256 {seals[identify][:16]}…\n")
     material = load_material(identify, test_path=test)
     result = diagnose_study(material, progress=say)
-    show_diagnosis(result.diagnosis, console)
+    show_diagnosis(result.part, console)
     stem = identify.with_suffix("")
     write_json(result.json, stem.with_suffix(".diagnosis.json"))
     diagnosis_plot(result.diagnosis, stem.with_suffix(".png"))

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from labhil.console import deliver, refuse_unwritable, status, tell
-from labhil.terminal import show
+from labhil.console import deliver, refuse_unwritable, tell
+from labhil.terminal import show, status
 
 RunOption = Annotated[
     int | None,

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from labhil.console import STDOUT, deliver, refuse_unwritable, results_console, status, write_json
-from labhil.terminal import terminal
+from labhil.console import STDOUT, deliver, refuse_unwritable, results_console, write_json
+from labhil.terminal import status, terminal
 
 
 def add_studies(app: typer.Typer) -> None:

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from labhil.diagnose import locate
 from labhil.diagnose.answer import Curve, Diagnosis
+from labhil.errors import UsageError
 from labhil.identify.score import Score
 from labhil.physics.model import Metric, Record
 from labhil.physics.terms import keyed
@@ -43,8 +44,8 @@ def diagnosis_figure(diagnosis: Diagnosis) -> Figure:
     rows = 1 + math.ceil(len(below) / columns)
     figure = figure_of((11.0, 4.0 * rows))
     grid = figure.add_gridspec(rows, 6)
-    _draw_windows(figure.add_subplot(grid[0, :3]), diagnosis, j)
-    _draw_errors(figure.add_subplot(grid[0, 3:]), diagnosis, j)
+    draw_windows(figure.add_subplot(grid[0, :3]), diagnosis, j)
+    draw_errors(figure.add_subplot(grid[0, 3:]), diagnosis, j)
     wide = 6 // columns
     for i, draw in enumerate(below):
         row, column = divmod(i, columns)
@@ -81,12 +82,21 @@ def channel_figure(diagnosis: Diagnosis, j: int) -> Figure:
     """Simulation and errors of output channel ``j`` as a figure: for rigs that have more than one."""
     figure = figure_of((11.0, 3.6))
     axes = figure.subplots(1, 2)
-    _draw_windows(axes[0], diagnosis, j)
-    _draw_errors(axes[1], diagnosis, j)
+    draw_windows(axes[0], diagnosis, j)
+    draw_errors(axes[1], diagnosis, j)
     return figure
 
 
-def _draw_windows(axes: Axes, diagnosis: Diagnosis, j: int) -> None:
+def _refuse_channel(diagnosis: Diagnosis, j: int) -> None:
+    """Raise UsageError where there is no output ``j``."""
+    last = len(diagnosis.after.channels) - 1
+    if not 0 <= j <= last:
+        raise UsageError(f"channel: expected a number from 0 to {last}, found {j!r}")
+
+
+def draw_windows(axes: Axes, diagnosis: Diagnosis, j: int) -> None:
+    """Output ``j`` as measured, and as simulated before and after."""
+    _refuse_channel(diagnosis, j)
     record, rows = diagnosis.held_out, diagnosis.after.rows
     t, measured = record.t[rows], record.outputs[rows, j]
     channel = diagnosis.after.channels[j]
@@ -99,7 +109,9 @@ def _draw_windows(axes: Axes, diagnosis: Diagnosis, j: int) -> None:
     finish(axes, f"{what} on data the search never saw", time_axis(axes, record), f"{name}, {channel.unit}")
 
 
-def _draw_errors(axes: Axes, diagnosis: Diagnosis, j: int) -> None:
+def draw_errors(axes: Axes, diagnosis: Diagnosis, j: int) -> None:
+    """The errors of output ``j`` before and after, with the noise floor."""
+    _refuse_channel(diagnosis, j)
     record = diagnosis.held_out
     channel = diagnosis.after.channels[j]
     for score, colour, label in _both(diagnosis, j):
@@ -117,10 +129,23 @@ def _missing(diagnosis: Diagnosis) -> list[Panel]:
     named = diagnosis.named
     if not named:
         return panels
+    shares, regimes = _lived(diagnosis)
+    return [partial(_draw_effect, share=shares[term], regimes=regimes[term]) for term in named] + panels
+
+
+def _lived(
+    diagnosis: Diagnosis,
+) -> tuple[dict[str, locate.Contribution], dict[str, tuple[locate.Regime, ...]]]:
+    """What each found effect contributes to held-out data, and the regimes where it lives."""
     seen = locate.HeldOut(diagnosis.held_out, diagnosis.before, diagnosis.after)
     joint = diagnosis.location.joint if diagnosis.location is not None else None
-    shares, regimes = locate.lived(diagnosis.final_fit, named, seen, joint)
-    return [partial(_draw_effect, share=shares[term], regimes=regimes[term]) for term in named] + panels
+    return locate.lived(diagnosis.final_fit, diagnosis.named, seen, joint)
+
+
+def draw_named_effect(axes: Axes, diagnosis: Diagnosis, term: str) -> None:
+    """What the found effect with this key adds, over the coordinate where it shows best."""
+    shares, regimes = _lived(diagnosis)
+    _draw_effect(axes, shares[term], regimes[term])
 
 
 def _draw_nothing(axes: Axes) -> None:

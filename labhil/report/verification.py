@@ -2,36 +2,44 @@
 
 from __future__ import annotations
 
-from rich.console import Console
+from collections.abc import Iterator
+
+from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from labhil.analysis.verdicts import verdict_line
-from labhil.diagnose.verify import Verification
+from labhil.analysis.schema import VerificationPart
 from labhil.physics.terms import keyed
-from labhil.report.text import small
+from labhil.report.text import figure, small
 
 
-def show_verification(found: Verification, console: Console) -> None:
+def show_verification(found: VerificationPart, console: Console) -> None:
     """Print the answer, what was tested, and where the simulation is worst."""
+    console.print(verification_text(found))
+
+
+def verification_text(found: VerificationPart) -> RenderableType:
+    """The answer, what was tested, and where the simulation is worst."""
+    return Group(*_pieces(found))
+
+
+def _pieces(found: VerificationPart) -> Iterator[RenderableType]:
     verdict = "consistent with the model" if found.consistent else "The recording contradicts the model"
     begin = "The recording is " if found.consistent else ""
-    console.print(
-        Text(
-            f"{begin}{verdict} (p {small(found.p_value)}, false alarms {found.alpha:g}).",
-            style="bold green" if found.consistent else "bold red",
-        )
+    yield Text(
+        f"{begin}{verdict} (p {small(found.p_value)}, false alarms {found.alpha:g}).",
+        style="bold green" if found.consistent else "bold red",
     )
-    console.print(Text(verdict_line(found.adequacy), style="" if found.adequacy.explained else "yellow"))
+    yield Text(found.statement, style="" if found.adequacy == "explained" else "yellow")
     for reason in found.reasons:
-        console.print(Text("· " + reason))
+        yield Text("· " + reason)
     for note in found.notes:
-        console.print(Text("· " + note, style="yellow"))
-    console.print(channel_table(found))
-    if found.changes:
-        console.print(value_table(found))
+        yield Text("· " + note, style="yellow")
+    yield channel_table(found)
+    if found.parameters:
+        yield value_table(found)
     if found.score.horizon is not None:
-        console.print(window_table(found))
+        yield window_table(found)
 
 
 def _table(title: str, left: tuple[str, ...], right: tuple[str, ...]) -> Table:
@@ -43,7 +51,7 @@ def _table(title: str, left: tuple[str, ...], right: tuple[str, ...]) -> Table:
     return table
 
 
-def channel_table(found: Verification) -> Table:
+def channel_table(found: VerificationPart) -> Table:
     """A row per output: error over floor with its limit, and what the refitted model leaves."""
     horizon = found.score.horizon
     how = "inverse dynamics" if horizon is None else f"simulated windows of {horizon:.3g} s"
@@ -55,32 +63,33 @@ def channel_table(found: Verification) -> Table:
     for c in found.channels:
         table.add_row(
             keyed(c.channel, c.joint),
-            f"{c.rmse:.4g} {c.unit}",
-            f"{c.noise_floor:.4g} {c.unit}",
-            f"{c.ratio:.3g}",
-            f"{c.limit:.3g}",
+            f"{figure(c.rmse, '.4g')} {c.unit}",
+            f"{figure(c.noise_floor, '.4g')} {c.unit}",
+            figure(c.ratio, ".3g"),
+            figure(c.limit, ".3g"),
             small(c.rmse_p).removeprefix("= "),
             small(c.structure_p).removeprefix("= "),
         )
     return table
 
 
-def value_table(found: Verification) -> Table:
+def value_table(found: VerificationPart) -> Table:
     """A row per parameter: accepted, refitted, and whether they differ."""
     table = _table(
-        f"Values, refitted on windows of {found.window:.3g} s: all together p {small(found.values_p)}",
+        f"Values, refitted on windows of {figure(found.window, '.3g')} s: "
+        f"all together p {small(found.values_p)}",
         ("parameter",),
         ("accepted", "refitted", "± of the difference", "z", "p (all looked at)"),
     )
     table.add_column("")
     table.add_column("unit")
-    for change in found.changes:
+    for change in found.parameters:
         table.add_row(
             keyed(change.name, change.joint),
-            f"{change.before:.5g}",
-            f"{change.after:.5g}",
-            f"{change.std_error:.2g}",
-            f"{change.z:.1f}",
+            figure(change.before, ".5g"),
+            figure(change.after, ".5g"),
+            figure(change.std_error, ".2g"),
+            figure(change.z, ".1f"),
             small(change.p_value).removeprefix("= "),
             "changed" if change.changed else "",
             change.unit,
@@ -88,9 +97,9 @@ def value_table(found: Verification) -> Table:
     return table
 
 
-def window_table(found: Verification) -> Table:
+def window_table(found: VerificationPart) -> Table:
     """The windows that are simulated worst."""
     table = _table("Worst windows", (), ("from", "to", "RMSE / noise floor"))
-    for window in found.worst:
-        table.add_row(f"{window.begin:.4g} s", f"{window.end:.4g} s", f"{window.ratio:.3g}")
+    for window in found.worst_windows:
+        table.add_row(f"{window.begin:.4g} s", f"{window.end:.4g} s", figure(window.ratio, ".3g"))
     return table

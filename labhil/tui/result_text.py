@@ -12,11 +12,11 @@ from labhil.analysis.schema import (
     ChannelErrors,
     DiagnosisPart,
     FitPart,
-    ImprovementPart,
-    MissingPart,
-    ParameterRow,
-    RivalPart,
-    ScorePart,
+    Improvement,
+    MissingEffect,
+    Parameter,
+    Rival,
+    Score,
 )
 from labhil.analysis.verdicts import FIT_VERDICTS, VERDICTS
 from labhil.physics.terms import keyed, listed
@@ -83,7 +83,7 @@ def _title(text: str, colours: Colours) -> Text:
     return Text(f"\n{text}", style=f"bold {colours['primary']}")
 
 
-def parameter_table(rows: Sequence[ParameterRow], colours: Colours) -> PlainTable:
+def parameter_table(rows: Sequence[Parameter], colours: Colours) -> PlainTable:
     """One row per parameter; a word says what cannot be relied on."""
     table = PlainTable(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style=colours["muted"])
     # where room is short the name is what is cut: the one column that may be wrapped is made narrow first
@@ -101,7 +101,7 @@ def parameter_table(rows: Sequence[ParameterRow], colours: Colours) -> PlainTabl
     return table
 
 
-def _remark(row: ParameterRow, colours: Colours) -> Text:
+def _remark(row: Parameter, colours: Colours) -> Text:
     if not row.identifiable:
         return Text("▲ not identifiable", style=colours["warning"])
     if row.at_bound:
@@ -135,7 +135,7 @@ def _scores(fit: FitPart) -> PlainTable:
     return table
 
 
-def _rows_of(score: ScorePart | None) -> Sequence[ChannelErrors]:
+def _rows_of(score: Score | None) -> Sequence[ChannelErrors]:
     return () if score is None else score.per_channel
 
 
@@ -192,7 +192,7 @@ def diagnosis_text(found: DiagnosisPart, colours: Colours) -> RenderableType:
     return Group(*parts, *_rest(found, colours))
 
 
-def _missing(item: MissingPart, rivals: Sequence[RivalPart], colours: Colours) -> RenderableType:
+def _missing(item: MissingEffect, rivals: Sequence[Rival], colours: Colours) -> RenderableType:
     text = Text()
     text.append(f"◆ {keyed(item.term, item.joint)}", style=f"bold {colours['accent']}")
     text.append(f"  probability {chance(item.probability)}\n")
@@ -227,7 +227,7 @@ def _changed(found: DiagnosisPart) -> PlainTable:
     return table
 
 
-def _improvement(better: ImprovementPart, colours: Colours) -> RenderableType:
+def _improvement(better: Improvement, colours: Colours) -> RenderableType:
     on = "the test recording" if better.data == "test" else "held-out data"
     horizon = "" if better.horizon is None else f", windows of {quantity(better.horizon, 's')}"
     table = _plain_table(("on " + on + horizon,), ("before", "after", "noise floor"))
@@ -241,7 +241,7 @@ def _improvement(better: ImprovementPart, colours: Colours) -> RenderableType:
     return Group(table, _bars(better, colours))
 
 
-def _bars(better: ImprovementPart, colours: Colours) -> Text:
+def _bars(better: Improvement, colours: Colours) -> Text:
     """Errors as lengths, in multiples of the noise floor, on a scale of powers of ten."""
     import math
 

@@ -137,7 +137,7 @@ def _verify(task: Task) -> dict[str, Any]:
     assert task.model is not None
     result = verify_study(task.recordings[0], task.model, None, alpha=1e-3, progress=progress)
     console = terminal(width=100, record=True, file=open(os.devnull, "w"))  # noqa: PTH123, SIM115
-    show_verification(result.verification, console)
+    show_verification(result.part, console)
     text = "\n".join([*result.losses, console.export_text()])
     return {"done": text, "consistent": result.verification.consistent}
 

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from labhil.analysis.schema import (
     ChannelImprovement,
     DiagnosisPart,
-    ImprovementPart,
+    Improvement,
     Interval,
-    LocationPart,
-    MissingPart,
-    RivalPart,
+    Location,
+    MissingEffect,
+    Rival,
 )
 from labhil.analysis.verdicts import VERDICTS
 from labhil.physics.terms import keyed
@@ -96,11 +96,11 @@ def _figures(diagnosis: DiagnosisPart) -> Markup:
     return tiles(entries)
 
 
-def _over_floor(rmse: float | None, better: ImprovementPart) -> str:
+def _over_floor(rmse: float | None, better: Improvement) -> str:
     return f"{multiple(rmse, better.noise_floor)} the noise floor"
 
 
-def _judged(better: ImprovementPart) -> str:
+def _judged(better: Improvement) -> str:
     return "on the test recording" if better.data == "test" else "on held-out data"
 
 
@@ -111,7 +111,7 @@ def _p_remark(diagnosis: DiagnosisPart) -> list[Content]:
     return [method if diagnosis.p_value_method in P_VALUES else diagnosis.p_value_method]
 
 
-def _missing(item: MissingPart, rivals: Sequence[RivalPart]) -> Markup:
+def _missing(item: MissingEffect, rivals: Sequence[Rival]) -> Markup:
     evidence = item.evidence
     told = facts(
         (
@@ -138,7 +138,7 @@ def _missing(item: MissingPart, rivals: Sequence[RivalPart]) -> Markup:
     )
 
 
-def _or_rather(rivals: Sequence[RivalPart]) -> Markup | None:
+def _or_rather(rivals: Sequence[Rival]) -> Markup | None:
     if not rivals:
         return None
     others = ", ".join(f"{keyed(r.term, r.joint)} ({chance(r.probability)})" for r in rivals)
@@ -162,7 +162,7 @@ def _changed(diagnosis: DiagnosisPart) -> Section | None:
     return section("Parameters that have changed", table("Against the reference model", columns, rows))
 
 
-def _location(where: LocationPart | None) -> Section | None:
+def _location(where: Location | None) -> Section | None:
     if where is None:
         return None
     times = ", ".join(_time(span, where.times_in[i : i + 1]) for i, span in enumerate(where.times))
@@ -193,7 +193,7 @@ def _time(span: Interval, recording: Sequence[int]) -> str:
     return interval(span, "s") + "".join(f" of @{number}" for number in recording)
 
 
-def _improvement(better: ImprovementPart | None, pictures: Sequence[Markup]) -> Section | None:
+def _improvement(better: Improvement | None, pictures: Sequence[Markup]) -> Section | None:
     if better is None:
         return section("How much better the model predicts", *pictures)
     columns = (
@@ -214,7 +214,7 @@ def _improvement(better: ImprovementPart | None, pictures: Sequence[Markup]) -> 
     )
 
 
-def _scored(better: ImprovementPart) -> str:
+def _scored(better: Improvement) -> str:
     many = len(better.per_recording) > 1 and not better.parts
     if better.data == "test":
         data = "the test recordings" if many else "the test recording"
@@ -250,7 +250,7 @@ def _final(diagnosis: DiagnosisPart, album: Album) -> Section | None:
     )
 
 
-def _rivals(rivals: Sequence[RivalPart]) -> Section | None:
+def _rivals(rivals: Sequence[Rival]) -> Section | None:
     if not rivals:
         return None
     columns = (

@@ -1,0 +1,413 @@
+"""Recordings: read from files, or made of arrays."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from labhil.api.inputs import PathLike, Progress, path_of, rig_file, telling
+from labhil.api.model import Model
+from labhil.api.render import axes_of, data_frame, data_set
+from labhil.errors import RecordingError, UsageError, suggestion
+from labhil.recording.reader import Event, StreamData
+from labhil.recording.reader import Recording as FileRecording
+from labhil.rig import RigFile
+from labhil.signals import Direction, FloatArray, Signal, Stream
+from labhil.whole import whole
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+FEWEST_ROWS = 2
+
+
+class Recording:
+    """A recording: samples of a rig over time, in SI units. Immutable.
+
+    Made by :func:`labhil.read`, :func:`labhil.recording` and :func:`labhil.run`. Signals are read by name:
+    ``rec["ball_position"]`` has shape (n,), a vector such as the six joints of an arm (n, 6).
+
+    Example:
+        >>> import labhil as lh
+        >>> rec = lh.read("recordings/ball_beam_identify.mcap")
+        >>> rec
+        <Recording of ball_beam: 2803 samples, 28.02 s at 100 Hz; ball_position, servo_angle>
+        >>> rec["ball_position"].shape, rec.t.shape
+        ((2803,), (2803,))
+        >>> rec.signals["servo_angle"].unit
+        'rad'
+        >>> rec.lost
+        0
+    """
+
+    def __init__(
+        self, file: FileRecording, notes: tuple[str, ...] = (), content: bytes | None = None
+    ) -> None:
+        self._file, self._notes, self._content = file, notes, content
+
+    @property
+    def file(self) -> FileRecording:
+        """All that the file holds: streams, clocks, attachments."""
+        return self._file
+
+    @property
+    def path(self) -> Path:
+        """Where it was read from; for arrays, their name."""
+        return self._file.path
+
+    @property
+    def model(self) -> Model | None:
+        """The model of the rig file that the recording carries; None where it carries none."""
+        return None if self._file.rig is None else Model(self._file.rig)
+
+    @property
+    def main(self) -> StreamData:
+        """The stream with the rig's outputs; without a rig file the longest one.
+
+        RecordingError where the recording holds no stream.
+        """
+        streams = [each for each in self._file.streams if len(each)] or list(self._file.streams)
+        if not streams:
+            raise RecordingError(f"{self.path}: {self._file.no_streams()}")
+        outputs = set() if self._file.rig is None else {s.name for s in self._file.rig.kind.outputs}
+        return max(streams, key=lambda each: (len(outputs & set(each.stream.names())), len(each)))
+
+    @property
+    def streams(self) -> Mapping[str, StreamData]:
+        """All streams by ``device/stream``: ``t``, ``values``, ``rate``, ``lost`` and stamps of each."""
+        return {f"{each.device}/{each.stream.name}": each for each in self._file.streams}
+
+    @property
+    def t(self) -> FloatArray:
+        """Times of the samples, (n,) s from the first."""
+        return self.main.t
+
+    @property
+    def signals(self) -> Mapping[str, Signal]:
+        """The signals by name, each with its ``unit``, ``direction``, ``width`` and ``description``."""
+        return {signal.name: signal for signal in self.main.stream.signals}
+
+    @property
+    def rate(self) -> float:
+        """Measured rate, Hz."""
+        return self.main.rate
+
+    @property
+    def duration(self) -> float:
+        """From the first sample to the last, s."""
+        return self._file.duration
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """What happened on the way, each with ``t`` (s), ``device``, ``topic`` and ``body``."""
+        return self._file.events
+
+    @property
+    def lost(self) -> int:
+        """How many samples are missing in all streams."""
+        return sum(each.lost for each in self._file.streams)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is to be known of it, a line each: how it was imported, what is missing, faulty clocks."""
+        return (*self._notes, *self._file.losses())
+
+    def __len__(self) -> int:
+        return len(self.main)
+
+    def __getitem__(self, name: str) -> FloatArray:
+        if name in self.signals:
+            return self.main[name]
+        for each in self._file.streams:
+            if name in each.stream.names():
+                return each[name]
+        names = [known for each in self._file.streams for known in each.stream.names()]
+        raise RecordingError(
+            f"{self.path}: no signal {name!r}{suggestion(str(name), names)}; "
+            f"found: {', '.join(dict.fromkeys(names))}"
+        )
+
+    def __repr__(self) -> str:
+        of = "" if self._file.rig is None else f" of {self._file.rig.kind.name}"
+        return (
+            f"<Recording{of}: {len(self)} samples, {self.duration:.4g} s at {self.rate:.4g} Hz; "
+            f"{', '.join(self.signals)}>"
+        )
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Recording) and self._file.sha256 == other._file.sha256
+
+    def __hash__(self) -> int:
+        return hash(self._file.sha256)
+
+    def _columns(self) -> dict[str, FloatArray]:
+        main = self.main
+        return dict(zip(main.stream.columns(), main.values.T, strict=True))
+
+    def to_pandas(self) -> Any:
+        """The samples as a pandas DataFrame: index ``t`` (s), a column for each signal (SI units).
+
+        Raises:
+            MissingExtraError: pandas is not installed.
+        """
+        return data_frame(self._columns(), index=self.t, index_name="t")
+
+    def to_xarray(self) -> Any:
+        """The samples as an xarray Dataset over ``t`` (s); each variable has its ``units``.
+
+        Raises:
+            MissingExtraError: xarray is not installed.
+        """
+        units = {column: s.unit for s in self.main.stream.signals for column in s.columns()}
+        variables = {name: (("t",), x, {"units": units[name]}) for name, x in self._columns().items()}
+        return data_set(variables, {"t": self.t}, {"path": str(self.path), "sha256": self._file.sha256})
+
+    def plot(self, name: str | None = None, ax: Axes | None = None) -> Axes:
+        """Draw a signal over time.
+
+        Args:
+            name: Which signal; the rig's first output when absent.
+            ax: Axes to draw into; new ones when absent.
+
+        Returns:
+            The matplotlib axes.
+
+        Raises:
+            RecordingError: There is no such signal.
+        """
+        from labhil.report.figure import MEASURED, finish
+
+        signal = next(iter(self.signals)) if name is None else name
+        values = self[signal]
+        axes = axes_of(ax)
+        t = next(each.t for each in (self.main, *self._file.streams) if signal in each.stream.names())
+        lines = values if values.ndim == 2 else values[:, None]
+        for i, column in enumerate(lines.T):
+            single = lines.shape[1] == 1
+            axes.plot(t, column, lw=1.0, color=MEASURED if single else None, label="" if single else f"{i}")
+        unit = next(s.unit for each in self._file.streams for s in each.stream.signals if s.name == signal)
+        finish(axes, signal, "t, s", f"{signal}, {unit}")
+        return axes
+
+    def save(self, path: PathLike) -> Path:
+        """Write the recording as an MCAP file with its rig file; other tools can open it, too.
+
+        Args:
+            path: A new file that ends in ``.mcap``.
+
+        Returns:
+            The path.
+
+        Raises:
+            UsageError: The file exists already, or cannot be written there.
+        """
+        file = path_of(path, "path")
+        if file.suffix != ".mcap":
+            raise UsageError(f"{file}: expected a name that ends in .mcap; `labhil export` writes tables")
+        if file.exists():
+            raise UsageError(f"{file}: expected a new file, found one that exists; nothing was written")
+        content = self.path.read_bytes() if self._content is None else self._content
+        with whole(file, "the recording") as draft:
+            draft.write_bytes(content)
+        return file
+
+
+def read(
+    path: PathLike,
+    *,
+    rig: PathLike | Model | RigFile | None = None,
+    device: str | None = None,
+    run: int | None = None,
+    progress: Progress = None,
+) -> Recording:
+    """Read a recording from a file.
+
+    MCAP files need nothing more. Text tables, MAT, Parquet, XLSX and ROS 2 bags are read by the rules of a
+    rig
+    file: its ``[table]`` and ``[channels]`` say which column is which signal, in which unit.
+
+    Args:
+        path: The file, or the folder of a ROS 2 bag.
+        rig: A rig kind, the path of a rig file, or a model; needed for anything but MCAP, where the recording
+            carries its own.
+        device: Which device, where a recording holds several.
+        run: Which run, from 1, where a file holds several of one stream.
+        progress: A function that is told what is being done, or True for a line on stderr.
+
+    Returns:
+        The recording, in SI units.
+
+    Raises:
+        RecordingError: The file does not exist, is no recording, or lacks what is asked for.
+        TableError: A table lacks a column, or its rows cannot be used.
+        UsageError: A table without ``rig``.
+
+    Example:
+        >>> import labhil as lh
+        >>> rec = lh.read("recordings/ball_beam_test.mcap")
+        >>> print(f"{rec.duration:.1f} s of {', '.join(rec.signals)}")
+        28.1 s of ball_position, servo_angle
+    """
+    from labhil.recording.reader import read_recording
+
+    file, own = path_of(path, "path"), rig_file(rig)
+    if _is_table(file):
+        if own is None:
+            raise UsageError(
+                f"{file}: a table needs a rig, which says what its columns are: "
+                'labhil.read(…, rig="bench.toml"), or the kind where columns bear the names of signals'
+            )
+        from labhil.analysis.tables import read_table
+
+        with telling(progress) as say:
+            table, notes, content = read_table(file, own, say)
+        return Recording(table, tuple(notes), content)
+    found = read_recording(file, run).of_device(device)
+    return Recording(found if own is None else _with_rig(found, own))
+
+
+def _with_rig(file: FileRecording, rig: RigFile) -> FileRecording:
+    from dataclasses import replace
+
+    return replace(file, rig=rig)
+
+
+def _is_table(path: Path) -> bool:
+    """Whether a file is anything but a recording; of one that is not there the name tells."""
+    from labhil.recording.chunks import is_mcap
+
+    if path.is_dir():
+        return True
+    if path.name.endswith((".mcap", ".mcap.part")) or not path.is_file():
+        return path.suffix not in (".mcap", ".part", "") and not path.name.endswith(".mcap.part")
+    with path.open("rb") as file:
+        return not is_mcap(file.read(16))
+
+
+def recording(
+    t: object,
+    inputs: Mapping[str, object],
+    outputs: Mapping[str, object],
+    *,
+    rig: PathLike | Model | RigFile,
+    others: Mapping[str, object] | None = None,
+    name: str = "arrays",
+) -> Recording:
+    """Make a recording of arrays.
+
+    Args:
+        t: Times of the samples, (n,) s, increasing.
+        inputs: What acts on the rig, by signal name: each (n,), or (n, 6) for the joints of an arm, in the
+            SI units of the rig kind.
+        outputs: What is measured, likewise.
+        rig: A rig kind, the path of a rig file, or a model; it says which signals there are.
+        others: Further channels of the rig kind, such as a temperature.
+        name: What messages and results call it.
+
+    Returns:
+        The recording; :meth:`Recording.save` makes a file of it.
+
+    Raises:
+        UsageError: Arrays of other lengths than ``t``, numbers that are not finite, times that do not
+            increase, or a signal that the rig kind does not have.
+
+    Example:
+        >>> import numpy as np
+        >>> import labhil as lh
+        >>> t = np.arange(0.0, 5.0, 0.01)
+        >>> u = 6.0 * np.sign(np.sin(3.0 * t))
+        >>> w = 10.0 * u * (1.0 - np.exp(-t))
+        >>> rec = lh.recording(t, {"voltage": u}, {"speed": w}, rig="dc_motor")
+        >>> rec
+        <Recording of dc_motor: 500 samples, 4.99 s at 100 Hz; voltage, speed>
+    """
+    from labhil.analysis.tables import table_in_memory
+
+    own = rig_file(rig)
+    if own is None:
+        raise UsageError("rig: expected a rig kind, the path of a rig file or a model, found None")
+    times = _times(t)
+    given = {**_mapping(inputs, "inputs"), **_mapping(outputs, "outputs"), **_mapping(others or {}, "others")}
+    known = {signal.name: signal for signal in own.kind.signals()}
+    for signal in given:
+        if signal not in known:
+            raise UsageError(
+                f"{signal}: a {own.kind.name} has no such signal{suggestion(signal, known)}; "
+                f"known: {', '.join(known)}"
+            )
+    signals = tuple(signal for signal in own.kind.signals() if signal.name in given)
+    _refuse_incomplete(own, set(given))
+    values = np.hstack([_values(given[s.name], s, len(times)) for s in signals])
+    stream = Stream("state", signals, float(1.0 / np.median(np.diff(times))))
+    digest = hashlib.sha256(times.tobytes() + values.tobytes()).hexdigest()
+    found, notes, content = table_in_memory(Path(name), digest, own, stream, times, values)
+    return Recording(found, tuple(notes), content)
+
+
+def _mapping(given: object, what: str) -> Mapping[str, object]:
+    if isinstance(given, Mapping):
+        return given
+    raise UsageError(f"{what}: expected a mapping of names to arrays, found {type(given).__name__}")
+
+
+def _array(given: object, what: str) -> FloatArray:
+    try:
+        return np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"{what}: expected an array of numbers, found {given!r:.80}: {error}") from error
+
+
+def _times(t: object) -> FloatArray:
+    times = _array(t, "t")
+    if times.ndim != 1 or len(times) < FEWEST_ROWS:
+        raise UsageError(
+            f"t: expected times of shape (n,), at least {FEWEST_ROWS}, found shape {times.shape}"
+        )
+    _refuse_holes("t", times)
+    standing = np.flatnonzero(np.diff(times) <= 0.0)
+    if len(standing):
+        i = int(standing[0])
+        raise UsageError(
+            f"t: expected times that increase (s), found {len(standing)} that do not, the first "
+            f"t[{i + 1}] = {times[i + 1]:g} after t[{i}] = {times[i]:g}"
+        )
+    return times
+
+
+def _values(given: object, signal: Signal, n: int) -> FloatArray:
+    values = _array(given, signal.name)
+    wanted = f"({n},)" if signal.width == 1 else f"({n}, {signal.width})"
+    columns = values[:, None] if values.ndim == 1 else values
+    if columns.shape != (n, signal.width):
+        raise UsageError(
+            f"{signal.name}: expected shape {wanted}, one row for each of the {n} times in t, "
+            f"found {values.shape}"
+        )
+    _refuse_holes(signal.name, columns)
+    return columns
+
+
+def _refuse_holes(name: str, values: FloatArray) -> None:
+    bad = np.flatnonzero(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))
+    if len(bad):
+        raise UsageError(
+            f"{name}: expected finite numbers, found {len(bad)} of {len(values)} rows with NaN or infinity, "
+            f"the first at index {bad[0]}; drop those rows of all arrays"
+        )
+
+
+def _refuse_incomplete(rig: RigFile, given: set[str]) -> None:
+    """Raise UsageError where an input or an output is missing that every model of this kind needs."""
+    kind = rig.kind
+    if not any(given >= set(names) for names in kind.driven_by):
+        wanted = " or ".join(" with ".join(names) for names in kind.driven_by)
+        raise UsageError(f"inputs: a {kind.name} needs {wanted}, found {', '.join(sorted(given)) or 'none'}")
+    outputs = [s.name for s in kind.outputs if s.direction is Direction.OUTPUT]
+    missing = [name for name in outputs if name not in given]
+    if len(missing) == len(outputs) or (missing and not kind.any_output):
+        wanted = (" or " if kind.any_output else " and ").join(outputs)
+        raise UsageError(f"outputs: a {kind.name} needs {wanted}, found {', '.join(sorted(given)) or 'none'}")
