@@ -62,10 +62,14 @@ class Diagnosis(Result):
     """
 
     def __init__(
-        self, data: Mapping[str, Any], study: DiagnosisResult | None = None, ended: str = ""
+        self,
+        data: Mapping[str, Any],
+        study: DiagnosisResult | None = None,
+        ended: str = "",
+        name: str = "the diagnosis",
     ) -> None:
-        super().__init__(data)
-        self._part = checked(DiagnosisPart, data, "the diagnosis")
+        super().__init__(data, name)
+        self._part = checked(DiagnosisPart, data, name)
         self._study, self._ended = study, ended
 
     @property
@@ -189,7 +193,7 @@ class Diagnosis(Result):
         """The final model, to start from or to compare with."""
         from labhil.analysis.results import SavedModel
 
-        return SavedModel("the diagnosis", self._data)
+        return SavedModel(self._name, self._data)
 
     def simulate(self, rec: PathLike | Recording, *, horizon: float | None = None) -> Simulation:
         """Run the final model on a recording; as :meth:`labhil.Fit.simulate`."""

@@ -55,9 +55,15 @@ class Fit(Result):
         ['test', 'train']
     """
 
-    def __init__(self, data: Mapping[str, Any], study: FitResult | None = None, ended: str = "") -> None:
-        super().__init__(data)
-        self._part = checked(FitPart, data, "the fit")
+    def __init__(
+        self,
+        data: Mapping[str, Any],
+        study: FitResult | None = None,
+        ended: str = "",
+        name: str = "the fit",
+    ) -> None:
+        super().__init__(data, name)
+        self._part = checked(FitPart, data, name)
         self._study, self._ended = study, ended
 
     @property
@@ -185,7 +191,7 @@ class Fit(Result):
         """The result as a model to start from or to compare with."""
         from labhil.analysis.results import SavedModel
 
-        return SavedModel("the fit", self._data)
+        return SavedModel(self._name, self._data)
 
     def plot(self, channel: int = 0, ax: Axes | None = None) -> Axes:
         """Draw the model beside the measurement, on the data that it is judged on.

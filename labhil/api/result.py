@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 class Result(ABC):
     """A result with its JSON. ``print`` shows the report of the command line, a notebook does in colours."""
 
-    def __init__(self, data: Mapping[str, Any]) -> None:
-        self._data = data
+    def __init__(self, data: Mapping[str, Any], name: str) -> None:
+        self._data, self._name = data, name
 
     @abstractmethod
     def _renderables(self) -> Sequence[RenderableType]:
@@ -80,11 +80,13 @@ class Result(ABC):
     def __hash__(self) -> int:
         return hash((type(self).__name__, *(source.sha256 for source in self.recordings)))
 
-    def __getstate__(self) -> Mapping[str, Any]:
-        return self._data
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restored, (type(self), self._data, self._name)
 
-    def __setstate__(self, data: Mapping[str, Any]) -> None:
-        type(self).__init__(self, data)
+
+def _restored(kind: Any, data: Mapping[str, Any], name: str) -> Result:
+    result: Result = kind(data, name=name)
+    return result
 
 
 def unsaved(what: str) -> UsageError:

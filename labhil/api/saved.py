@@ -55,4 +55,4 @@ def load(path: PathLike) -> Fit | Diagnosis | Verification:
         raise ModelFileError(
             f"{file}: expected a result of schema {', '.join(KINDS)}, found {schema or 'no schema'!r:.80}"
         )
-    return kind(data)
+    return kind(data, name=str(file))

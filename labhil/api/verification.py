@@ -35,9 +35,9 @@ class Verification(Result):
         (False, ())
     """
 
-    def __init__(self, data: Mapping[str, Any]) -> None:
-        super().__init__(data)
-        self._part = checked(VerificationPart, data, "the verification")
+    def __init__(self, data: Mapping[str, Any], name: str = "the verification") -> None:
+        super().__init__(data, name)
+        self._part = checked(VerificationPart, data, name)
 
     @property
     def part(self) -> VerificationPart:
