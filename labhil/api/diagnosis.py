@@ -281,6 +281,11 @@ class Diagnosis(Result):
             write_page(diagnosis_page(self._part, foot_of(self._part), Album()), file)
         return file
 
+    @property
+    def study(self) -> DiagnosisResult:
+        """The computation behind it, with its samples; UsageError of a result that was loaded or pickled."""
+        return self._drawn("study")
+
     def _drawn(self, what: str) -> DiagnosisResult:
         if self._study is None:
             raise unsaved(what)

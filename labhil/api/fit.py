@@ -274,6 +274,11 @@ class Fit(Result):
             write_page(fit_page(self._part, foot_of(self._part), Album()), file)
         return file
 
+    @property
+    def study(self) -> FitResult:
+        """The computation behind it, with its samples; UsageError of a result that was loaded or pickled."""
+        return self._drawn("study")
+
     def _drawn(self, what: str) -> FitResult:
         if self._study is None:
             raise unsaved(what)

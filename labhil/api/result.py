@@ -6,11 +6,11 @@ import copy
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from labhil.api.inputs import PathLike, path_of
-from labhil.api.render import data_frame, data_set, html_of, text_of
-from labhil.errors import UsageError
+from labhil.api.render import WIDTH, data_frame, data_set, html_of, text_of
+from labhil.errors import ModelFileError, UsageError
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -37,6 +37,26 @@ class Result(ABC):
         """The whole result as plain data, as it is saved."""
         return copy.deepcopy(dict(self._data))
 
+    @classmethod
+    def load(cls, path: PathLike) -> Self:
+        """Read a saved result of this kind; :func:`labhil.load` reads any.
+
+        Args:
+            path: The JSON file.
+
+        Returns:
+            The result.
+
+        Raises:
+            ModelFileError: The file cannot be read, or holds another kind of result.
+        """
+        from labhil.api.saved import load
+
+        result = load(path)
+        if not isinstance(result, cls):
+            raise ModelFileError(f"{path}: expected a {cls.__name__}, found a {type(result).__name__}")
+        return result
+
     def save(self, path: PathLike) -> Path:
         """Write the whole result as JSON, the same that ``--json`` writes; :func:`labhil.load` reads it.
 
@@ -57,13 +77,21 @@ class Result(ABC):
         write_json(dict(self._data), file)
         return file
 
+    def text(self, width: int = WIDTH) -> str:
+        """The report as text.
+
+        Args:
+            width: Characters of a line.
+        """
+        return text_of([*self._early(), *self._renderables()], width)
+
     def show(self, console: Console) -> None:
         """Print the report on a console of rich."""
         for each in self._renderables():
             console.print(each)
 
     def __str__(self) -> str:
-        return text_of([*self._early(), *self._renderables()])
+        return self.text()
 
     def _repr_html_(self) -> str:
         return html_of([*self._early(), *self._renderables()])

@@ -135,7 +135,7 @@ def test_a_result_is_held_against_a_recording_and_starts_another_fit(fit, dx):
     wrong = lh.verify(TEST, lh.fit(IDENTIFY, terms=TERMS[:1], span=(0, 12), estimator="nlse"))
     assert wrong.contradicted
     assert wrong.reasons
-    known = lh.load(ROOT / "examples" / "fit.json")
+    known = lh.Fit.load(ROOT / "examples" / "fit.json")
     assert lh.diagnose(IDENTIFY, reference=known).verdict == "no_mismatch"
 
 
@@ -170,6 +170,8 @@ def test_what_is_no_result_is_not_loaded(tmp_path):
             lh.load(tmp_path / "it.json")
     with pytest.raises(ModelFileError, match="cannot be read"):
         lh.load(tmp_path / "not there.json")
+    with pytest.raises(ModelFileError, match="expected a Diagnosis, found a Fit"):
+        lh.Diagnosis.load(ROOT / "examples" / "fit.json")
     broken = lh.load(ROOT / "examples" / "fit.json").to_dict() | {"parameters": [{"name": 3}]}
     (tmp_path / "it.json").write_text(json.dumps(broken))
     with pytest.raises(ModelFileError, match=r"it\.json"):
