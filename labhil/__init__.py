@@ -30,10 +30,11 @@ if TYPE_CHECKING:
         Score,
     )
     from labhil.api.acquisition import Experiment, connect, run
+    from labhil.api.arrays import recording
     from labhil.api.diagnosis import Diagnosis, diagnose
     from labhil.api.fit import Fit, fit
     from labhil.api.model import Model, Terms, model
-    from labhil.api.recording import Recording, read, recording
+    from labhil.api.recording import Recording, read
     from labhil.api.saved import load
     from labhil.api.simulation import Simulation
     from labhil.api.verification import Verification, verify
