@@ -28,7 +28,7 @@ from labhil.terminal import complain, show
 app = typer.Typer(
     help="Record a rig and its simulation, find where they disagree, and say what physics was left out.",
     no_args_is_help=True,
-    add_completion=False,
+    add_completion=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},

@@ -28,6 +28,14 @@
 
 Every message says what was expected, what was found, and where. ``UsageError`` messages end up in
 front of a person as they are, so they are whole sentences without a traceback.
+
+Example:
+    >>> import labhil as lh
+    >>> try:
+    ...     lh.read("nowhere.mcap")
+    ... except lh.errors.RecordingError as error:
+    ...     print(error)
+    nowhere.mcap: cannot be read: No such file or directory
 """
 
 from __future__ import annotations

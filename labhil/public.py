@@ -54,6 +54,10 @@ class CallablePackage(ModuleType):
         return self._function()(*arguments, **options)
 
     @property
+    def __doc__(self) -> str | None:  # type: ignore[override]
+        return public(self.__name__.rpartition(".")[2]).__doc__
+
+    @property
     def __signature__(self) -> Any:
         import inspect
 

@@ -129,6 +129,8 @@ class Recording:
 
     def __repr__(self) -> str:
         of = "" if self._file.rig is None else f" of {self._file.rig.kind.name}"
+        if not self._file.streams:
+            return f"<Recording{of}: {self._file.no_streams()}>"
         return (
             f"<Recording{of}: {len(self)} samples, {self.duration:.4g} s at {self.rate:.4g} Hz; "
             f"{', '.join(self.signals)}>"

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from labhil.analysis.schema import ChannelVerdict, Source, ValueChange, VerificationPart, checked
 from labhil.api.fit import reference_of
-from labhil.api.inputs import PathLike, Progress, rig_file, taken_of, telling
+from labhil.api.inputs import PathLike, Progress, path_of, rig_file, taken_of, telling
 from labhil.api.render import data_frame
 from labhil.api.result import Result
 from labhil.errors import UsageError
@@ -92,6 +93,26 @@ class Verification(Result):
         from labhil.report.verification import verification_text
 
         return [verification_text(self._part)]
+
+    def report(self, path: PathLike) -> Path:
+        """Write one HTML page about it, complete in itself.
+
+        Args:
+            path: The file to write.
+
+        Returns:
+            The path.
+
+        Raises:
+            UsageError: It cannot be written there.
+        """
+        from labhil.report.html.page import write_page
+        from labhil.report.html.study import foot_of
+        from labhil.report.html.verification import verification_page
+
+        file = path_of(path, "path")
+        write_page(verification_page(self._part, foot_of(self._part)), file)
+        return file
 
     def to_pandas(self) -> Any:
         """The parameters, accepted and refitted, as a pandas DataFrame.

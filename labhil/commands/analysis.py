@@ -241,7 +241,10 @@ def verify(
 def report(
     result: Annotated[
         Path,
-        typer.Argument(metavar="OUT.json|REC.mcap", help="The JSON of a fit or diagnosis, or a recording."),
+        typer.Argument(
+            metavar="OUT.json|REC.mcap",
+            help="The JSON of a fit, diagnosis or verification, or a recording.",
+        ),
     ],
     out: Annotated[Path, typer.Option("-o", "--out", help="The page to write (.html).")],
     run: RunOption = None,

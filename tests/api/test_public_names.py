@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import doctest
 import inspect
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -59,8 +60,7 @@ def test_each_is_there_and_described_with_an_example(name):
     piece = public(name)
     text = inspect.getdoc(piece)
     assert text is not None
-    if name != "errors":
-        assert ">>> " in text, name
+    assert ">>> " in text, name
     if inspect.isfunction(piece):
         for section in ("Args:", "Returns:", "Raises:", "Example:"):
             assert section in text, f"{name}: {section}"
@@ -88,8 +88,12 @@ def test_a_misspelt_name_is_answered_with_the_right_one():
 
 
 def test_packages_that_share_a_name_with_a_function_are_called_as_that_function():
-
-    assert inspect.signature(lh.diagnose) == inspect.signature(public("diagnose"))
+    reader = import_module("labhil.recording.reader")
+    import_module("labhil.diagnose.answer")
+    for name in ("diagnose", "recording"):
+        assert inspect.signature(getattr(lh, name)) == inspect.signature(public(name))
+        assert inspect.getdoc(getattr(lh, name)) == inspect.getdoc(public(name))
+    assert import_module("labhil").recording.reader is reader
     with pytest.raises(lh.errors.UsageError, match="rig"):
         lh.recording([0.0, 1.0], {}, {}, rig="no such rig")
 

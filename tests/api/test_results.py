@@ -126,7 +126,7 @@ def test_a_diagnosis_says_what_is_missing_and_where(dx):
     assert str(dx).startswith("Physics is missing from the baseline.")
 
 
-def test_a_result_is_held_against_a_recording_and_starts_another_fit(fit, dx):
+def test_a_result_is_held_against_a_recording_and_starts_another_fit(fit, dx, tmp_path):
     verified = lh.verify(TEST, dx)
     assert not verified.contradicted
     assert str(verified).startswith("The recording is consistent with the model")
@@ -135,6 +135,11 @@ def test_a_result_is_held_against_a_recording_and_starts_another_fit(fit, dx):
     wrong = lh.verify(TEST, lh.fit(IDENTIFY, terms=TERMS[:1], span=(0, 12), estimator="nlse"))
     assert wrong.contradicted
     assert wrong.reasons
+    for result, said in ((verified, "is consistent with the model"), (wrong, "contradicts the model")):
+        page = result.report(tmp_path / "page.html").read_text()
+        assert said in page
+        assert lh.load(result.save(tmp_path / "it.json")) == result
+        assert all(reason.split("(")[0] in page for reason in result.reasons)
     known = lh.Fit.load(ROOT / "examples" / "fit.json")
     assert lh.diagnose(IDENTIFY, reference=known).verdict == "no_mismatch"
 

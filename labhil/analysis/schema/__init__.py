@@ -96,6 +96,7 @@ __all__ = [
     "VerificationPart",
     "WindowEstimate",
     "WorstWindow",
+    "any_result_of",
     "checked",
     "json_of",
     "result_of",
@@ -103,7 +104,14 @@ __all__ = [
 
 Result = TypeVar("Result", bound=Part)
 
-FIT, DIAGNOSIS = "labhil.fit/1", "labhil.diagnosis/1"
+FIT, DIAGNOSIS, VERIFICATION = "labhil.fit/1", "labhil.diagnosis/1", "labhil.verification/1"
+
+
+def any_result_of(data: Any, origin: str) -> FitPart | DiagnosisPart | VerificationPart:
+    """The same, or a verification."""
+    if isinstance(data, dict) and data.get("schema") == VERIFICATION:
+        return checked(VerificationPart, data, origin)
+    return result_of(data, origin)
 
 
 def result_of(data: Any, origin: str) -> FitPart | DiagnosisPart:
