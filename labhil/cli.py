@@ -22,7 +22,7 @@ from labhil.commands.studies import add_studies
 from labhil.commands.trials import add_trials
 from labhil.commands.tui import add_tui
 from labhil.console import forgiving_streams
-from labhil.errors import LabhilError
+from labhil.errors import LabhilError, OptionError
 from labhil.terminal import complain, show
 
 app = typer.Typer(
@@ -41,7 +41,7 @@ def main() -> None:
         try:
             app()
         except LabhilError as error:
-            complain(error)
+            complain(error.on_command_line if isinstance(error, OptionError) else error)
             sys.exit(error.exit_status)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from labhil.ending import Deadline, EndedEarly
-from labhil.errors import RunStoppedError, UsageError
+from labhil.errors import OptionError, RunStoppedError
 
 
 @contextmanager
@@ -16,7 +16,7 @@ def ending_early(seconds: float | None = None) -> Iterator[Deadline]:
     UsageError where ``seconds`` is no time; RunStoppedError where there is nothing yet by then.
     """
     if seconds is not None and not seconds > 0:
-        raise UsageError(f"--seconds: expected more than 0, found {seconds:g}")
+        raise OptionError("seconds", f": expected more than 0, found {seconds:g}")
     with Deadline(seconds) as deadline:
         try:
             yield deadline

@@ -16,7 +16,7 @@ from labhil.analysis.still import constant
 from labhil.diagnose.fault import Fault
 from labhil.diagnose.intake import with_censored
 from labhil.diagnose.timing import all_faults
-from labhil.errors import RecordingError, UsageError
+from labhil.errors import OptionError, RecordingError
 from labhil.identify.plausibility import doubts_of
 from labhil.identify.windows import FEWEST_SAMPLES, split, with_least_noise
 from labhil.physics.arm import ArmModel
@@ -129,7 +129,7 @@ def load_material(
     """
     if not (0.05 <= holdout <= 0.9 or (all_of_it and holdout == 0.0)):
         nothing = ", or 0 to hold nothing out" if all_of_it else ""
-        raise UsageError(f"--holdout: expected a share from 0.05 to 0.9{nothing}, found {holdout:g}")
+        raise OptionError("holdout", f": expected a share from 0.05 to 0.9{nothing}, found {holdout:g}")
     paths, test_paths = _paths(path), _paths(test_path)
     _refuse_counts(paths, test_paths, per_recording)
     everything = [each.of_device(device) for each in read_all((*paths, *test_paths), run)]
@@ -242,10 +242,11 @@ def _within(record: Record, span: tuple[float, float] | None, recording: Recordi
         return record
     first, last = np.searchsorted(record.t, span[0]), np.searchsorted(record.t, span[1], side="right")
     if last - first < FEWEST_SAMPLES:
-        raise UsageError(
-            f"--span {span[0]:g} {span[1]:g}: expected at least {FEWEST_SAMPLES} samples of "
+        raise OptionError(
+            "span",
+            f" {span[0]:g} {span[1]:g}: expected at least {FEWEST_SAMPLES} samples of "
             f"{recording.path}, which reaches from {record.t[0]:g} to {record.t[-1]:g} s, "
-            f"found {max(last - first, 0)}"
+            f"found {max(last - first, 0)}",
         )
     return record.part(int(first), int(last))
 
@@ -285,14 +286,16 @@ def _refuse_counts(paths: Sequence[Taken], tests: Sequence[Taken], per_recording
     if not per_recording:
         return
     if len(paths) < 2:
-        raise UsageError(
-            f"--per-recording {','.join(per_recording)}: expected two recordings or more, found one; give "
-            "them one after another"
+        raise OptionError(
+            "per-recording",
+            f" {','.join(per_recording)}: expected two recordings or more, found one; give "
+            "them one after another",
         )
     if tests and len(tests) != len(paths):
-        raise UsageError(
-            f"--test: expected one for each of the {len(paths)} recordings, in their order, since "
-            f"{', '.join(per_recording)} has a value in each of them; found {len(tests)}"
+        raise OptionError(
+            "test",
+            f": expected one for each of the {len(paths)} recordings, in their order, since "
+            f"{', '.join(per_recording)} has a value in each of them; found {len(tests)}",
         )
 
 

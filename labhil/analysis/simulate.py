@@ -9,7 +9,7 @@ from labhil.analysis.material import Taken, measured_of, naming, read_all, refus
 from labhil.analysis.results import SavedModel, finite, score_json, values_of
 from labhil.analysis.schema import Score as ScorePart
 from labhil.analysis.schema import checked
-from labhil.errors import ModelFileError, UsageError
+from labhil.errors import ModelFileError, OptionError
 from labhil.identify.fitted import start_theta
 from labhil.identify.score import Score, score
 from labhil.identify.windows import noise_of, told_apart
@@ -34,7 +34,7 @@ def simulated(taken: Taken, saved: SavedModel, kind: str | None, horizon: float 
     cannot be simulated.
     """
     if horizon is not None and not 0.0 < horizon < float("inf"):
-        raise UsageError(f"horizon: expected more than 0 s, found {horizon!r}")
+        raise OptionError("horizon", f": expected more than 0 s, found {horizon:g}")
     recording = read_all([taken], None)[0]
     rig = rig_of(recording, None)
     if kind is not None and kind != rig.kind.name:

@@ -14,7 +14,7 @@ from labhil.analysis.schema import DiagnosisPart, FitPart, checked
 from labhil.analysis.still import refuse_still
 from labhil.diagnose.answer import Diagnosis
 from labhil.diagnose.diagnosis import SEARCH, diagnose
-from labhil.errors import UnknownNameError, UsageError
+from labhil.errors import OptionError, UnknownNameError
 from labhil.identify.fit import Fit, Options, fit
 from labhil.identify.further_channels import with_help
 from labhil.identify.windows import FEWEST_IN_WINDOW
@@ -69,8 +69,9 @@ def fit_study(
     shortest = FEWEST_IN_WINDOW * material.learn.period
     how = options or Options()
     if how.window is not None and not 0.99 * shortest <= how.window < float("inf"):
-        raise UsageError(
-            f"--window: expected at least {shortest:.3g} s ({FEWEST_IN_WINDOW} samples), found {how.window:g}"
+        raise OptionError(
+            "window",
+            f": expected at least {shortest:.3g} s ({FEWEST_IN_WINDOW} samples), found {how.window:g}",
         )
     model = under_kept_curve(material.model, start)
     chosen = terms or (terms_of(start) if start is not None else rig_model(model.kind).general)
@@ -102,8 +103,8 @@ def _with_own(model: Model, terms: Sequence[str], *, stated: bool) -> tuple[str,
     own = dict.fromkeys(p.term for p in model.parameters if p.recording is not None and p.term is not None)
     further = [term for term in own if term not in present]
     if further and stated:
-        raise UsageError(
-            f"--per-recording {further[0]}: the fitted terms are {', '.join(terms)}; add it to --terms"
+        raise OptionError(
+            "per-recording", f" {further[0]}: the fitted terms are {', '.join(terms)}; add it to --terms"
         )
     return (*terms, *further)
 

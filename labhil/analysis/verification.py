@@ -13,7 +13,7 @@ from labhil.analysis.material import Taken, refuse_holes, rig_of
 from labhil.analysis.results import Reference, Source, accepted_of, finite, score_json
 from labhil.analysis.schema import VerificationPart, checked
 from labhil.diagnose.verify import ALPHA, Verification, verify
-from labhil.errors import ModelFileError, RecordingError, UsageError
+from labhil.errors import ModelFileError, OptionError, RecordingError
 from labhil.identify.windows import FEWEST_SAMPLES
 from labhil.physics.model import Record
 from labhil.physics.rigs import model_for, record_of
@@ -50,7 +50,7 @@ def verify_study(
     Raises UsageError (RecordingError, RigFileError, ModelFileError) with what is wrong and where.
     """
     if not 0.0 < alpha < 0.5:
-        raise UsageError(f"--alpha: expected a probability above 0 and below 0.5, found {alpha:g}")
+        raise OptionError("alpha", f": expected a probability above 0 and below 0.5, found {alpha:g}")
     began = time.perf_counter()
     accepted = accepted_of(model_file)
     recording = (read_recording(taken, run) if isinstance(taken, Path) else taken).of_device(device)

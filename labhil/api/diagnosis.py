@@ -23,7 +23,18 @@ from labhil.analysis.schema import (
     checked,
 )
 from labhil.api.fit import reference_of
-from labhil.api.inputs import PathLike, Progress, names_of, path_of, rig_file, taken_of, telling
+from labhil.api.inputs import (
+    PathLike,
+    Progress,
+    names_of,
+    number_of,
+    number_or_none,
+    path_of,
+    rig_file,
+    span_of,
+    taken_of,
+    telling,
+)
 from labhil.api.render import axes_of
 from labhil.api.result import Result, parameter_frame, parameter_set, unsaved
 from labhil.api.simulation import Simulation, simulate
@@ -352,15 +363,15 @@ def diagnose(
         taken_of(rec, "rec"),
         rig_file(model),
         None if test is None else taken_of(test, "test"),
-        holdout,
+        number_of(holdout, "holdout"),
         names_of(per_recording, "per_recording") or (),
-        span=span,
+        span=span_of(span),
         device=device,
         run=run,
     )
     if warn is not None:
         warn(material.losses())
-    with telling(progress) as say, ending_early(seconds) as deadline:
+    with telling(progress) as say, ending_early(number_or_none(seconds, "seconds")) as deadline:
         found = diagnose_study(
             material,
             baseline=names_of(baseline, "baseline"),

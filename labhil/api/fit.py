@@ -17,7 +17,19 @@ from labhil.analysis.schema import (
     WindowEstimate,
     checked,
 )
-from labhil.api.inputs import PathLike, Progress, names_of, path_of, rig_file, taken_of, telling
+from labhil.api.inputs import (
+    PathLike,
+    Progress,
+    names_of,
+    number_of,
+    number_or_none,
+    path_of,
+    rig_file,
+    span_of,
+    taken_of,
+    telling,
+    whole_number_of,
+)
 from labhil.api.render import axes_of
 from labhil.api.result import Result, parameter_frame, parameter_set, unsaved
 from labhil.api.simulation import Simulation, simulate
@@ -362,17 +374,18 @@ def fit(
         taken_of(rec, "rec"),
         rig_file(model),
         None if test is None else taken_of(test, "test"),
-        holdout,
+        number_of(holdout, "holdout"),
         names_of(per_recording, "per_recording") or (),
-        span=span,
+        span=span_of(span),
         all_of_it=True,
         device=device,
         run=run,
     )
     if warn is not None:
         warn(material.losses())
-    with telling(progress) as say, ending_early(seconds) as deadline:
-        how = Options(window, method, simultaneous, estimator_named(estimator), seed, say, metric)
+    with telling(progress) as say, ending_early(number_or_none(seconds, "seconds")) as deadline:
+        length, draw = number_or_none(window, "window"), whole_number_of(seed, "seed")
+        how = Options(length, method, simultaneous, estimator_named(estimator), draw, say, metric)
         found = fit_study(
             material, terms=names_of(terms, "terms"), start=reference_of(start, "start"), options=how
         )

@@ -9,7 +9,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from labhil.errors import UsageError
+import numpy as np
+
+from labhil.errors import OptionError, UsageError
 from labhil.kinds import kind_names
 from labhil.rig import RigFile, default_rig, load_rig
 
@@ -67,6 +69,36 @@ def names_of(value: Iterable[str] | str | None, what: str) -> tuple[str, ...] | 
     if names is None or not all(isinstance(name, str) for name in names):
         raise UsageError(f"{what}: expected names, found {value!r:.80}")
     return names
+
+
+def number_of(value: object, what: str) -> float:
+    """A number; OptionError where it is none."""
+    if isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool):
+        return float(value)
+    raise OptionError(what, f": expected a number, found {value!r:.80} ({type(value).__name__})")
+
+
+def number_or_none(value: object, what: str) -> float | None:
+    """A number, or None for None."""
+    return None if value is None else number_of(value, what)
+
+
+def whole_number_of(value: object, what: str) -> int:
+    """A whole number; OptionError where it is none."""
+    if isinstance(value, (int, np.integer)) and not isinstance(value, bool):
+        return int(value)
+    raise OptionError(what, f": expected a whole number, found {value!r:.80} ({type(value).__name__})")
+
+
+def span_of(value: object) -> tuple[float, float] | None:
+    """A stretch of time, s; OptionError where it is no two numbers of which the second is larger."""
+    if value is None:
+        return None
+    ends = tuple(value) if isinstance(value, Iterable) and not isinstance(value, str) else ()
+    if len(ends) != 2:
+        raise OptionError("span", f": expected two times, from … to, s, found {value!r:.80}")
+    first, last = (number_of(end, "span") for end in ends)
+    return first, last
 
 
 def taken_of(

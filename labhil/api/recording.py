@@ -79,8 +79,8 @@ class Recording:
 
     @property
     def t(self) -> FloatArray:
-        """Times of the samples, (n,) s from the first."""
-        return self.main.t
+        """Times of the samples, (n,) s from the first; read only, as all arrays here."""
+        return _fixed(self.main.t)
 
     @property
     def signals(self) -> Mapping[str, Signal]:
@@ -117,10 +117,10 @@ class Recording:
 
     def __getitem__(self, name: str) -> FloatArray:
         if name in self.signals:
-            return self.main[name]
+            return _fixed(self.main[name])
         for each in self._file.streams:
             if name in each.stream.names():
-                return each[name]
+                return _fixed(each[name])
         names = [known for each in self._file.streams for known in each.stream.names()]
         raise RecordingError(
             f"{self.path}: no signal {name!r}{suggestion(str(name), names)}; "
@@ -212,6 +212,13 @@ class Recording:
         with whole(file, "the recording") as draft:
             draft.write_bytes(content)
         return file
+
+
+def _fixed(values: FloatArray) -> FloatArray:
+    """The same numbers, not to be written to."""
+    view = values.view()
+    view.flags.writeable = False
+    return view
 
 
 def read(

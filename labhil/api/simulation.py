@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from labhil.api.inputs import PathLike, taken_of
+from labhil.api.inputs import PathLike, number_or_none, taken_of
 from labhil.api.render import axes_of, data_frame, data_set
 from labhil.errors import UnknownNameError, UsageError
 from labhil.signals import FloatArray
@@ -116,7 +116,7 @@ def simulate(
     """Run the model of a result on a recording of a rig of the same kind; see :class:`Simulation`."""
     from labhil.analysis.simulate import simulated
 
-    found = simulated(taken_of(rec, "recording")[0], saved, rig, horizon)
+    found = simulated(taken_of(rec, "recording")[0], saved, rig, number_or_none(horizon, "horizon"))
     record, score = found.record, found.score
     names = record.output_names
     predicted = np.full(record.outputs.shape, np.nan)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from labhil.analysis.schema import ChannelVerdict, Source, ValueChange, VerificationPart, checked
 from labhil.api.fit import reference_of
-from labhil.api.inputs import PathLike, Progress, path_of, rig_file, taken_of, telling
+from labhil.api.inputs import PathLike, Progress, number_of, path_of, rig_file, taken_of, telling
 from labhil.api.render import data_frame
 from labhil.api.result import Result
 from labhil.errors import UsageError
@@ -174,7 +174,13 @@ def verify(
         raise UsageError(f"rec: expected one recording, found {len(taken)}")
     with telling(progress) as say:
         found = verify_study(
-            taken[0], reference, rig_file(model), alpha=alpha, device=device, run=run, progress=say
+            taken[0],
+            reference,
+            rig_file(model),
+            alpha=number_of(alpha, "alpha"),
+            device=device,
+            run=run,
+            progress=say,
         )
     if warn is not None:
         warn(found.losses)

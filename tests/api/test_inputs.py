@@ -59,6 +59,8 @@ def test_arrays_become_a_recording_that_is_saved_and_read_again(tmp_path):
     assert rec["speed"] == pytest.approx(np.cumsum(U) * 0.01)
     assert rec.t == pytest.approx(T)
     assert list(rec.signals) == ["voltage", "speed", "winding_temperature"]
+    with pytest.raises(ValueError, match="read-only"):
+        rec["speed"][0] = 1.0
     again = lh.read(rec.save(tmp_path / "it.mcap"))
     assert again == rec
     assert again["voltage"] == pytest.approx(U)
@@ -121,6 +123,14 @@ def test_files_that_are_not_there_or_are_none_are_named():
         ({"start": 3}, UsageError, "start: expected a path, found 3"),
         ({"test": IDENTIFY.with_name("nowhere.mcap")}, RecordingError, "nowhere.mcap"),
         ({"device": "arm"}, RecordingError, "arm"),
+        ({"holdout": "most"}, UsageError, "holdout: expected a number, found 'most'"),
+        ({"span": 5.0}, UsageError, "span: expected two times"),
+        ({"span": ("a", "b")}, UsageError, "span: expected a number, found 'a'"),
+        ({"seconds": "soon"}, UsageError, "seconds: expected a number"),
+        ({"window": "1 s"}, UsageError, "window: expected a number"),
+        ({"seed": 1.5}, UsageError, "seed: expected a whole number"),
+        ({"test": 3}, UsageError, "test: expected a recording"),
+        ({"model": 3}, UsageError, "rig: expected a path, found 3"),
     ],
 )
 def test_a_fit_that_cannot_be_made_is_refused_with_the_reason(options, kind, said):
@@ -135,6 +145,8 @@ def test_what_is_no_recording_is_refused_with_what_makes_one():
         lh.diagnose([])
     with pytest.raises(UsageError, match="expected a fit or a diagnosis"):
         lh.verify(IDENTIFY, None)
+    with pytest.raises(UsageError, match="alpha: expected a number"):
+        lh.verify(IDENTIFY, ROOT / "examples" / "fit.json", alpha="small")
     with pytest.raises(UsageError, match="expected one recording, found 2"):
         lh.verify([IDENTIFY, IDENTIFY], ROOT / "examples" / "fit.json")
 
