@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -142,6 +143,7 @@ class Experiment:
         """How long its steps take, s of the devices' clocks."""
         return self._file.duration
 
+    @cached_property
     def _planned(self) -> Plan:
         return make_plan(self._file)
 
@@ -151,7 +153,7 @@ class Experiment:
         Raises:
             UsageError: It cannot be run: no such driver or signal, or a step beyond the limits.
         """
-        return self._planned().describe()
+        return self._planned.describe()
 
     def run(self, out: PathLike = ".", *, progress: RunProgress = None) -> Recording:
         """Run it; see :func:`labhil.run`."""
@@ -191,7 +193,7 @@ class Experiment:
 
     def warnings(self) -> tuple[str, ...]:
         """What is doubtful in its steps, a line each."""
-        return self._planned().warnings()
+        return self._planned.warnings()
 
     def __repr__(self) -> str:
         devices = ", ".join(self._file.devices)

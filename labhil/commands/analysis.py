@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from labhil.commands.files import RunOption
-from labhil.commands.json_flag import JsonFlagCommand
+from labhil.commands.json_flag import JsonFlagCommand, JsonOption
 from labhil.console import (
     STDOUT,
     deliver,
@@ -16,7 +16,6 @@ from labhil.console import (
     results_console,
     split_names,
     tell,
-    write_json,
 )
 from labhil.terminal import show, status
 
@@ -63,15 +62,13 @@ def add_analysis(app: typer.Typer) -> None:
 
 def terms(
     rig: Annotated[str | None, typer.Argument(help="A rig kind; all when absent.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print them as JSON.")] = False,
+    json_path: JsonOption = None,
 ) -> None:
     """List the effects that a rig's model may have, with equation, parameters, units and source."""
     from labhil.report.catalogue import catalogue_json, show_catalogue
 
-    if as_json:
-        write_json(catalogue_json(rig))
-    else:
-        show_catalogue(rig)
+    refuse_unwritable(json_path)
+    deliver(catalogue_json(rig), json_path, lambda: show_catalogue(rig))
 
 
 def fit(
