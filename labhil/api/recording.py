@@ -112,6 +112,13 @@ class Recording:
         """What is to be known of it, a line each: how it was imported, what is missing, faulty clocks."""
         return (*self._notes, *self._file.losses())
 
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What the physics of the rig calls implausible: units, signs, times or columns, a sentence each."""
+        from labhil.analysis.doubts import doubts_in
+
+        return tuple(doubts_in(self._file))
+
     def __len__(self) -> int:
         return len(self.main)
 

@@ -71,6 +71,16 @@ def test_arrays_become_a_recording_that_is_saved_and_read_again(tmp_path):
         rec.save(tmp_path / "it.csv")
 
 
+def test_units_that_cannot_be_are_doubted():
+    assert lh.read(IDENTIFY).doubts == ()
+    table = lh.read(IDENTIFY)
+    in_mm = lh.recording(
+        table.t, {"servo_angle": table["servo_angle"]}, {"ball_position": 1e3 * table["ball_position"]},
+        rig=table.model,
+    )  # fmt: skip
+    assert any("ball_position" in doubt for doubt in in_mm.doubts)
+
+
 def test_six_joints_are_one_signal():
     q = np.sin(T)[:, None] * np.ones(6)
     rec = lh.recording(T, {"actual_q": q, "actual_qd": q}, {"actual_current": q}, rig="ur5")
