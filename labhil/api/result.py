@@ -125,14 +125,12 @@ def unsaved(what: str) -> UsageError:
     )
 
 
-COLUMNS = ("value", "unit", "std_error", "ci_low", "ci_high", "z", "p_value", "significant", "identifiable")
-
-
 def parameter_columns(parameters: Parameters) -> dict[str, list[Any]]:
     """Parameters by columns, in the order of the report."""
-    ends = [row.ci99 or (None, None) for row in parameters]
-    given = {"ci_low": [low for low, _ in ends], "ci_high": [high for _, high in ends]}
-    return {name: given.get(name) or [getattr(row, name, None) for row in parameters] for name in COLUMNS}
+    from labhil.report.parameter_columns import COLUMNS
+
+    frames = [each for column in COLUMNS for each in column.frame]
+    return {name: [value(row) for row in parameters] for name, value in frames}
 
 
 def parameter_frame(parameters: Parameters) -> Any:

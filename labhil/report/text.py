@@ -23,6 +23,7 @@ from labhil.physics.terms import keyed, listed
 from labhil.report.absent import joints_table, of_joints, silences
 from labhil.report.faults import fault_lines
 from labhil.report.html.quantity import NOTHING, quantity, squared
+from labhil.report.parameter_columns import COLUMNS, figure, small
 
 NOT_THERE = "Not there, or smaller than this (99 %)"
 
@@ -91,45 +92,20 @@ def _kind(fit: FitPart) -> str:
 def parameter_table(estimates: Sequence[Parameter], title: str, *, stars: bool = True) -> Table:
     """One row per parameter; ``*`` marks those that differ from zero at 1 %, where ``stars`` may be given."""
     table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
+    columns = [column.terminal for column in COLUMNS if column.terminal is not None]
     table.add_column("parameter", no_wrap=True)
-    for name in ("value", "± std. error", "99 % interval", "z", "p"):
+    for name, _ in columns:
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("")
     table.add_column("unit")
     for row in estimates:
-        table.add_row(
-            row.key,
-            figure(row.value, ".5g"),
-            figure(row.std_error, ".2g"),
-            Text(_interval(row)),
-            figure(row.z, ".1f"),
-            small(row.p_value).removeprefix("= "),
-            _mark(row, stars),
-            row.unit,
-        )
+        table.add_row(row.key, *(Text(cell(row)) for _, cell in columns), _mark(row, stars), row.unit)
     return table
-
-
-def figure(value: Number, form: str) -> str:
-    """A number; a dash where it is not known, or not finite."""
-    return NOTHING if value is None else f"{value:{form}}"
-
-
-def _interval(row: Parameter) -> str:
-    low, high = row.ci99 or (None, None)
-    return NOTHING if low is None and high is None else f"[{figure(low, '.4g')}, {figure(high, '.4g')}]"
 
 
 def percent(share: Number, unit: str = " %") -> str:
     """``99.99 %``; a dash where there is none."""
     return NOTHING if share is None else f"{100 * share:.2f}{unit}"
-
-
-def small(p_value: Number) -> str:
-    """A p value as people write it: ``= 0.03``, ``<1e-99``; a dash where there is none."""
-    if p_value is None:
-        return NOTHING
-    return "<1e-99" if p_value < 1e-99 else f"= {p_value:.2g}"
 
 
 def _mark(row: Parameter, stars: bool) -> str:

@@ -10,7 +10,7 @@ from rich.text import Text
 
 from labhil.analysis.schema import VerificationPart
 from labhil.physics.terms import keyed
-from labhil.report.text import figure, small
+from labhil.report.parameter_columns import figure, small
 
 
 def show_verification(found: VerificationPart, console: Console) -> None:

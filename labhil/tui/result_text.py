@@ -22,6 +22,7 @@ from labhil.analysis.verdicts import FIT_VERDICTS, VERDICTS
 from labhil.physics.terms import keyed, listed
 from labhil.report.absent import joints_table, of_joints, silences
 from labhil.report.html.quantity import chance, interval, multiple, p_value, percent, quantity
+from labhil.report.parameter_columns import COLUMNS
 from labhil.tui.words import PlainTable
 
 Colours = dict[str, str]
@@ -88,16 +89,13 @@ def parameter_table(rows: Sequence[Parameter], colours: Colours) -> PlainTable:
     table = PlainTable(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style=colours["muted"])
     # where room is short the name is what is cut: the one column that may be wrapped is made narrow first
     table.add_column("parameter", overflow="ellipsis", min_width=20, max_width=38)
-    table.add_column("value", justify="right", no_wrap=True)
-    table.add_column("99 % interval", no_wrap=True)
+    columns = [column.screen for column in COLUMNS if column.screen is not None]
+    for place, (name, _) in enumerate(columns):
+        table.add_column(name, justify="left" if place else "right", no_wrap=True)
     table.add_column("", no_wrap=True)
     for row in rows:
-        table.add_row(
-            row.key,
-            Text(quantity(row.value, row.unit), style="bold"),
-            Text(interval(row.ci99)),
-            _remark(row, colours),
-        )
+        cells = [Text(cell(row), style="" if place else "bold") for place, (_, cell) in enumerate(columns)]
+        table.add_row(row.key, *cells, _remark(row, colours))
     return table
 
 

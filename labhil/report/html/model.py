@@ -8,9 +8,10 @@ from labhil.analysis.schema import ChannelErrors, ChannelImprovement, Parameter,
 from labhil.physics.terms import keyed, listed
 from labhil.report.html.element import Content, Markup, joined, tag
 from labhil.report.html.picture import Album
-from labhil.report.html.quantity import NOTHING, count, interval, p_value, percent, quantity
+from labhil.report.html.quantity import NOTHING, count, percent, quantity
 from labhil.report.html.table import numbers, table, text
 from labhil.report.intervals_plot import drawable, intervals_figure
+from labhil.report.parameter_columns import COLUMNS
 
 
 def recordings_table(sources: Sequence[Source]) -> Markup:
@@ -33,24 +34,13 @@ def parameters_table(rows: Sequence[Parameter], caption: str, *, reference: bool
     """Values with errors and intervals; with ``reference``, the reference text's own error beside ours."""
     if not rows:
         return None
-    errors = ("Std. error", "Reference's error") if reference else ("Std. error",)
-    columns = (*text("Parameter"), *numbers("Value", *errors, "99 % interval", "z", "p"), *text("Remark"))
-    return table(caption, columns, [_parameter(row, reference) for row in rows])
-
-
-def _parameter(row: Parameter, reference: bool) -> list[Content]:
-    errors = [quantity(row.std_error, digits=2)]
-    if reference:
-        errors.append(quantity(row.std_error_reference, digits=2))
-    return [
-        named(row.name, row.joint, row.recording),
-        quantity(row.value, row.unit),
-        *errors,
-        interval(row.ci99),
-        quantity(row.z, digits=3),
-        p_value(row.p_value),
-        remark(row),
+    shown = [each.page for each in COLUMNS if each.page is not None and (reference or not each.reference)]
+    columns = (*text("Parameter"), *numbers(*(title for title, _ in shown)), *text("Remark"))
+    cells: list[Sequence[Content]] = [
+        (named(row.name, row.joint, row.recording), *(cell(row) for _, cell in shown), remark(row))
+        for row in rows
     ]
+    return table(caption, columns, cells)
 
 
 def remark(row: Parameter) -> str:
