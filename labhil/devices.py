@@ -7,6 +7,9 @@ Example:
     >>> from labhil.devices import Batch, Driver, DriverSpec, Signal, Stream
     >>> Batch.empty(width=2).values.shape
     (0, 2)
+    >>> from labhil.devices import rig_kind
+    >>> [signal.name for signal in rig_kind("ball_beam").outputs]
+    ['ball_position']
 """
 
 from __future__ import annotations
@@ -14,6 +17,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from labhil.driver import Counters, DeviceInfo, Driver, DriverSpec, TimedDriver, Twin, TwinOptions
+from labhil.kinds import Known, RigKind
+from labhil.kinds import kind_named as rig_kind
 from labhil.signals import Batch, Direction, Hold, Signal, Stream
 
 if TYPE_CHECKING:
@@ -28,11 +33,14 @@ __all__ = [
     "DriverContract",
     "DriverSpec",
     "Hold",
+    "Known",
+    "RigKind",
     "Signal",
     "Stream",
     "TimedDriver",
     "Twin",
     "TwinOptions",
+    "rig_kind",
 ]
 
 

@@ -59,6 +59,14 @@ def test_a_result_comes_back_from_its_file_and_from_a_pickle(name, request, tmp_
         assert again.report(tmp_path / "page.html").read_text().startswith("<!DOCTYPE html>")
 
 
+def test_recordings_models_and_simulations_are_pickled(fit):
+    rec = lh.read(TEST)
+    for piece in (rec, rec.model):
+        assert pickle.loads(pickle.dumps(piece)) == piece
+    run = fit.simulate(rec)
+    assert repr(pickle.loads(pickle.dumps(run))) == repr(run)
+
+
 def test_results_do_not_change(fit):
     data = fit.to_dict()
     data["parameters"][0]["value"] = -1.0
