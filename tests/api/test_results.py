@@ -27,7 +27,7 @@ def fit() -> lh.Fit:
 
 @pytest.fixture(scope="module")
 def dx() -> lh.Diagnosis:
-    return lh.diagnose(IDENTIFY, baseline=TERMS[:3], span=(0, 15), seconds=60)
+    return lh.diagnose(IDENTIFY, baseline=TERMS[:3], span=(0, 15))
 
 
 def test_a_printed_fit_is_what_the_command_prints_and_its_file_what_the_command_writes(
