@@ -35,10 +35,11 @@ from labhil.api.inputs import (
     taken_of,
     telling,
 )
-from labhil.api.render import axes_of
+from labhil.api.render import axes_of, channel_of
 from labhil.api.result import Result, parameter_frame, parameter_set, unsaved
 from labhil.api.simulation import Simulation, simulate
 from labhil.errors import UnknownNameError
+from labhil.physics.terms import keyed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -211,12 +212,12 @@ class Diagnosis(Result):
         rigs = {source.rig for source in self.recordings if source.rig}
         return simulate(self.saved, rec, rig=rigs.pop() if len(rigs) == 1 else None, horizon=horizon)
 
-    def plot(self, channel: int | None = None, ax: Axes | None = None) -> Axes:
+    def plot(self, ax: Axes | None = None, *, channel: int | str | None = None) -> Axes:
         """Draw measurement, baseline and final model on data that the search never saw.
 
         Args:
-            channel: Which output, from 0; the one that is off by most when absent.
             ax: Axes to draw into; new ones when absent.
+            channel: Which output, by name or by place, from 0; the one that is off by most when absent.
 
         Returns:
             The matplotlib axes.
@@ -227,15 +228,15 @@ class Diagnosis(Result):
         from labhil.report.plots import draw_windows, located
 
         found, axes = self._drawn("plot").diagnosis, axes_of(ax)
-        draw_windows(axes, found, located(found) if channel is None else channel)
+        draw_windows(axes, found, located(found) if channel is None else self._place(channel))
         return axes
 
-    def plot_errors(self, channel: int | None = None, ax: Axes | None = None) -> Axes:
+    def plot_errors(self, ax: Axes | None = None, *, channel: int | str | None = None) -> Axes:
         """Draw the errors before and after, with the noise floor; as :meth:`plot`."""
         from labhil.report.plots import draw_errors, located
 
         found, axes = self._drawn("plot_errors").diagnosis, axes_of(ax)
-        draw_errors(axes, found, located(found) if channel is None else channel)
+        draw_errors(axes, found, located(found) if channel is None else self._place(channel))
         return axes
 
     def plot_effect(self, term: str, ax: Axes | None = None) -> Axes:
@@ -291,6 +292,10 @@ class Diagnosis(Result):
         else:
             write_page(diagnosis_page(self._part, foot_of(self._part), Album()), file)
         return file
+
+    def _place(self, channel: int | str) -> int:
+        rows = self.improvement.after.scored if self.improvement is not None else ()
+        return channel_of(channel, [keyed(row.channel, row.joint) for row in rows])
 
     @property
     def study(self) -> DiagnosisResult:

@@ -30,9 +30,10 @@ from labhil.api.inputs import (
     telling,
     whole_number_of,
 )
-from labhil.api.render import axes_of
+from labhil.api.render import axes_of, channel_of
 from labhil.api.result import Result, parameter_frame, parameter_set, unsaved
 from labhil.api.simulation import Simulation, simulate
+from labhil.physics.terms import keyed
 from labhil.signals import FloatArray
 
 if TYPE_CHECKING:
@@ -205,12 +206,12 @@ class Fit(Result):
 
         return SavedModel(self._name, self._data)
 
-    def plot(self, channel: int = 0, ax: Axes | None = None) -> Axes:
+    def plot(self, ax: Axes | None = None, *, channel: int | str = 0) -> Axes:
         """Draw the model beside the measurement, on the data that it is judged on.
 
         Args:
-            channel: Which output, from 0.
             ax: Axes to draw into; new ones when absent.
+            channel: Which output, by name or by place, from 0.
 
         Returns:
             The matplotlib axes.
@@ -221,23 +222,23 @@ class Fit(Result):
         from labhil.report.fit_plot import draw_simulation
 
         study, axes = self._drawn("plot"), axes_of(ax)
-        draw_simulation(axes, study.fit, study.material.judge, channel)
+        draw_simulation(axes, study.fit, study.material.judge, self._place(channel))
         return axes
 
-    def plot_errors(self, channel: int = 0, ax: Axes | None = None) -> Axes:
+    def plot_errors(self, ax: Axes | None = None, *, channel: int | str = 0) -> Axes:
         """Draw the errors of the simulation over time, with the noise floor; as :meth:`plot`."""
         from labhil.report.fit_plot import draw_errors
 
         study, axes = self._drawn("plot_errors"), axes_of(ax)
-        draw_errors(axes, study.fit, study.material.judge, channel)
+        draw_errors(axes, study.fit, study.material.judge, self._place(channel))
         return axes
 
-    def plot_residuals(self, channel: int = 0, ax: Axes | None = None) -> Axes:
+    def plot_residuals(self, ax: Axes | None = None, *, channel: int | str = 0) -> Axes:
         """Draw the autocorrelation of the fitted residuals, with white noise's 99 % band; as :meth:`plot`."""
         from labhil.report.fit_plot import draw_autocorrelation
 
         study, axes = self._drawn("plot_residuals"), axes_of(ax)
-        draw_autocorrelation(axes, study.fit, channel)
+        draw_autocorrelation(axes, study.fit, self._place(channel))
         return axes
 
     def plot_intervals(self, ax: Axes | None = None) -> Axes:
@@ -285,6 +286,9 @@ class Fit(Result):
         else:
             write_page(fit_page(self._part, foot_of(self._part), Album()), file)
         return file
+
+    def _place(self, channel: int | str) -> int:
+        return channel_of(channel, [keyed(row.channel, row.joint) for row in self.train.scored])
 
     @property
     def study(self) -> FitResult:

@@ -6,7 +6,7 @@ import io
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from labhil.errors import MissingExtraError
+from labhil.errors import MissingExtraError, UnknownNameError, UsageError
 from labhil.terminal import terminal
 
 if TYPE_CHECKING:
@@ -67,6 +67,20 @@ def data_set(
     )
 
 
+def channel_of(channel: int | str, names: Sequence[str]) -> int:
+    """The place of an output that is given by its place or its name."""
+    if isinstance(channel, str):
+        if channel not in names:
+            raise UnknownNameError("output", channel, names)
+        return list(names).index(channel)
+    if isinstance(channel, bool) or not isinstance(channel, int) or not 0 <= channel < len(names):
+        raise UsageError(
+            f"channel: expected a number from 0 to {len(names) - 1} or one of {', '.join(names)}, "
+            f"found {channel!r}"
+        )
+    return channel
+
+
 def axes_of(ax: Axes | None, size: tuple[float, float] = (9.0, 4.0)) -> Axes:
     """The axes to draw into: the given ones, or new ones.
 
@@ -74,6 +88,8 @@ def axes_of(ax: Axes | None, size: tuple[float, float] = (9.0, 4.0)) -> Axes:
     display.
     """
     if ax is not None:
+        if not hasattr(ax, "plot"):
+            raise UsageError(f"ax: expected axes of matplotlib, found {ax!r:.80} ({type(ax).__name__})")
         return ax
     import sys
 

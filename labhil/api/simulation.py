@@ -84,12 +84,12 @@ class Simulation:
         variables = {label: (("t",), x, {"units": self.units[name]}) for label, name, x in both}
         return data_set(variables, {"t": self.t}, {"horizon": self.horizon})
 
-    def plot(self, name: str | None = None, ax: Axes | None = None) -> Axes:
+    def plot(self, ax: Axes | None = None, *, name: str | None = None) -> Axes:
         """Draw measurement and simulation.
 
         Args:
-            name: Which output; the first when absent.
             ax: Axes to draw into; new ones when absent.
+            name: Which output; the first when absent.
 
         Returns:
             The matplotlib axes.

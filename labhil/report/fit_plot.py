@@ -8,9 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from labhil.errors import UsageError
 from labhil.identify.fit import Fit
-from labhil.identify.score import ChannelScore, Score
+from labhil.identify.score import ChannelScore
 from labhil.identify.statistics import runs
 from labhil.physics.model import Record
 from labhil.physics.terms import keyed
@@ -51,17 +50,10 @@ def _name(channel: ChannelScore) -> str:
     return f"{keyed(channel.channel, channel.joint)}, {channel.unit}"
 
 
-def _judged(fit: Fit, j: int) -> tuple[Score, ChannelScore]:
-    """The score that the fit is judged by, and that of its output ``j``; UsageError where there is none."""
-    score = fit.test or fit.train
-    if not 0 <= j < len(score.channels):
-        raise UsageError(f"channel: expected a number from 0 to {len(score.channels) - 1}, found {j!r}")
-    return score, score.channels[j]
-
-
 def draw_simulation(axes: Axes, fit: Fit, record: Record, j: int) -> None:
     """The scored simulation of output ``j`` beside the measurement."""
-    score, channel = _judged(fit, j)
+    score = fit.test or fit.train
+    channel = score.channels[j]
     t, measured = record.t[score.rows], record.outputs[score.rows, j]
     axes.plot(t, broken(score, measured), color=MEASURED, lw=2.5, alpha=0.5, label="measured")
     simulated = broken(score, measured + score.errors[:, j])
@@ -71,7 +63,8 @@ def draw_simulation(axes: Axes, fit: Fit, record: Record, j: int) -> None:
 
 def draw_errors(axes: Axes, fit: Fit, record: Record, j: int) -> None:
     """The errors of output ``j`` over time, with the noise floor."""
-    score, channel = _judged(fit, j)
+    score = fit.test or fit.train
+    channel = score.channels[j]
     axes.plot(record.t[score.rows], broken(score, score.errors[:, j]), color=AFTER, lw=0.8)
     floor = channel.noise_floor
     axes.axhspan(-floor, floor, color="k", alpha=0.12, label="noise floor")
@@ -93,7 +86,6 @@ def draw_autocorrelation(axes: Axes, fit: Fit, j: int) -> None:
     """That of the fitted residuals of output ``j`` in each recording, the mean of them."""
     from statsmodels.tsa.stattools import acf
 
-    _judged(fit, j)
     own = runs(fit.fitted.problem.begins, len(fit.residuals))
     residuals = [fit.residuals[run, j] for run in own]
     lengths = [len(own) for own in residuals]

@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 
 from labhil.diagnose import locate
 from labhil.diagnose.answer import Curve, Diagnosis
-from labhil.errors import UsageError
 from labhil.identify.score import Score
 from labhil.physics.model import Metric, Record
 from labhil.physics.terms import keyed
@@ -87,16 +86,8 @@ def channel_figure(diagnosis: Diagnosis, j: int) -> Figure:
     return figure
 
 
-def _refuse_channel(diagnosis: Diagnosis, j: int) -> None:
-    """Raise UsageError where there is no output ``j``."""
-    last = len(diagnosis.after.channels) - 1
-    if not 0 <= j <= last:
-        raise UsageError(f"channel: expected a number from 0 to {last}, found {j!r}")
-
-
 def draw_windows(axes: Axes, diagnosis: Diagnosis, j: int) -> None:
     """Output ``j`` as measured, and as simulated before and after."""
-    _refuse_channel(diagnosis, j)
     record, rows = diagnosis.held_out, diagnosis.after.rows
     t, measured = record.t[rows], record.outputs[rows, j]
     channel = diagnosis.after.channels[j]
@@ -111,7 +102,6 @@ def draw_windows(axes: Axes, diagnosis: Diagnosis, j: int) -> None:
 
 def draw_errors(axes: Axes, diagnosis: Diagnosis, j: int) -> None:
     """The errors of output ``j`` before and after, with the noise floor."""
-    _refuse_channel(diagnosis, j)
     record = diagnosis.held_out
     channel = diagnosis.after.channels[j]
     for score, colour, label in _both(diagnosis, j):

@@ -115,8 +115,13 @@ def test_plots_draw_into_given_axes_or_new_ones(fit, dx):
     assert len(fit.figure().axes) == 4
     with pytest.raises(UnknownNameError, match="dead_zone"):
         dx.plot_effect("payload")
-    with pytest.raises(UsageError, match="channel"):
+    assert fit.plot(channel="ball_position").has_data()
+    with pytest.raises(UsageError, match="channel: expected a number from 0 to 0 or one of ball_position"):
         fit.plot(channel=3)
+    with pytest.raises(UnknownNameError, match="did you mean 'ball_position'"):
+        dx.plot(channel="ball_positon")
+    with pytest.raises(UsageError, match="ax: expected axes of matplotlib, found 'here'"):
+        fit.plot("here")
 
 
 def test_a_diagnosis_says_what_is_missing_and_where(dx):
