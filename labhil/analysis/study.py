@@ -74,8 +74,12 @@ def fit_study(
             f": expected at least {shortest:.3g} s ({FEWEST_IN_WINDOW} samples), found {how.window:g}",
         )
     model = under_kept_curve(material.model, start)
-    chosen = terms or (terms_of(start) if start is not None else rig_model(model.kind).general)
+    chosen = terms
+    if chosen is None:
+        chosen = terms_of(start) if start is not None else rig_model(model.kind).general
     chosen = _with_own(model, chosen, stated=bool(terms))
+    if not chosen and all(parameter.term is not None for parameter in model.parameters):
+        raise OptionError("terms", f": expected one at least, since all else of this {model.kind} is known")
     began = time.perf_counter()
     begin = for_every_recording(model, values_of(start)) if start is not None else None
     test = material.judge if material.held_out else None
@@ -123,7 +127,9 @@ def diagnose_study(
     """
     model = under_kept_curve(material.model, reference)
     values = _reference_values(material, reference)
-    chosen = baseline or (terms_of(reference) if reference is not None else rig_model(model.kind).baseline)
+    chosen = baseline
+    if chosen is None:
+        chosen = terms_of(reference) if reference is not None else rig_model(model.kind).baseline
     terms_named(model, chosen)
     with material.naming():
         diagnosis = diagnose(

@@ -249,7 +249,7 @@ def diagnosis_text(diagnosis: DiagnosisPart) -> RenderableType:
 def _found(diagnosis: DiagnosisPart) -> Iterator[RenderableType]:
     """Verdict, faults, place, missing terms with their rivals, changed values."""
     yield Text(VERDICTS[diagnosis.verdict], style="bold")
-    terms = ", ".join(listed(diagnosis.baseline.terms))
+    terms = ", ".join(listed(diagnosis.baseline.terms)) or "no terms"
     yield Text(f"Baseline: {terms}; p {small(diagnosis.p_value)} that it suffices.")
     for size in diagnosis.collapsed:
         yield Text(f"! {size.statement}", style="yellow")

@@ -119,6 +119,7 @@ def test_files_that_are_not_there_or_are_none_are_named():
     [
         ({"terms": ["coulomb_frictoin"]}, UnknownNameError, "did you mean 'coulomb_friction'"),
         ({"terms": [3]}, UsageError, "terms: expected names"),
+        ({"terms": []}, UsageError, "terms: expected one at least"),
         ({"terms": 3}, UsageError, "terms: expected names, found 3"),
         ({"estimator": "gradient"}, UnknownNameError, "gradient"),
         ({"intervals": "exact"}, UnknownNameError, "exact"),
@@ -200,6 +201,13 @@ def test_progress_is_told_to_a_function_and_work_ends_early_with_the_best_so_far
     assert not short.complete
     assert short.ended == "0.5 s are over"
     assert str(short).startswith("ENDED EARLY")
+
+
+def test_no_terms_are_no_terms_and_not_the_usual_ones():
+    bare = lh.diagnose(IDENTIFY, baseline=[], span=(0, 10), seconds=1)
+    assert bare.baseline.terms == ()
+    assert "Baseline: no terms;" in str(bare)
+    assert lh.fit(motor(), terms=[], estimator="nlse", window=0.5).terms == ()
 
 
 def test_several_recordings_are_fitted_together():
