@@ -22,7 +22,6 @@ from labhil.analysis.schema import (
     Verdict,
     checked,
 )
-from labhil.api.fit import reference_of
 from labhil.api.inputs import (
     PathLike,
     Progress,
@@ -30,6 +29,7 @@ from labhil.api.inputs import (
     number_of,
     number_or_none,
     path_of,
+    reference_of,
     rig_file,
     span_of,
     taken_of,

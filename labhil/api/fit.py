@@ -24,6 +24,7 @@ from labhil.api.inputs import (
     number_of,
     number_or_none,
     path_of,
+    reference_of,
     rig_file,
     span_of,
     taken_of,
@@ -394,11 +395,3 @@ def fit(
             material, terms=names_of(terms, "terms"), start=reference_of(start, "start"), options=how
         )
     return Fit(found.json, found, "" if found.fit.complete else deadline.reason)
-
-
-def reference_of(result: Fit | Diagnosis | PathLike | None, what: str) -> Path | SavedModel | None:
-    """A result, or its file, as a model to start from or to compare with."""
-    if result is None:
-        return None
-    saved = getattr(result, "saved", None)
-    return path_of(result, what) if saved is None else saved

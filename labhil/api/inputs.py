@@ -16,6 +16,9 @@ from labhil.kinds import kind_names
 from labhil.rig import RigFile, default_rig, load_rig
 
 if TYPE_CHECKING:
+    from labhil.analysis.results import SavedModel
+    from labhil.api.diagnosis import Diagnosis
+    from labhil.api.fit import Fit
     from labhil.api.model import Model
     from labhil.api.recording import Recording
     from labhil.recording.reader import Recording as FileRecording
@@ -141,3 +144,11 @@ def telling(progress: Progress) -> Iterator[Callable[[str], None]]:
 
 def _nobody(text: str) -> None:
     """Nobody is told."""
+
+
+def reference_of(result: Fit | Diagnosis | PathLike | None, what: str) -> Path | SavedModel | None:
+    """A result, or its file, as a model to start from or to compare with."""
+    if result is None:
+        return None
+    saved = getattr(result, "saved", None)
+    return path_of(result, what) if saved is None else saved

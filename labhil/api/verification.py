@@ -7,8 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from labhil.analysis.schema import ChannelVerdict, Source, ValueChange, VerificationPart, checked
-from labhil.api.fit import reference_of
-from labhil.api.inputs import PathLike, Progress, number_of, path_of, rig_file, taken_of, telling
+from labhil.api.inputs import (
+    PathLike,
+    Progress,
+    number_of,
+    path_of,
+    reference_of,
+    rig_file,
+    taken_of,
+    telling,
+)
 from labhil.api.render import data_frame
 from labhil.api.result import Result
 from labhil.errors import UsageError
