@@ -22,9 +22,9 @@ from typing import Any
 
 import numpy as np
 
+from labhil.analysis.material import load_material
 from labhil.identify.fitted import start_theta
 from labhil.physics.model import Windows
-from labhil.report.material import load_material
 from labhil_benchmarks.reference import published
 from labhil_benchmarks.reference.known_start import KnownStart
 from labhil_benchmarks.reference.levels import Levels

@@ -1,3 +1,89 @@
-"""labhil: record a rig and its simulation, find where they disagree, and name the missing physics."""
+"""labhil: record a rig and its simulation, find where they disagree, and name the missing physics.
 
-__version__ = "0.1.0"
+Three lines from a file to a printed fit::
+
+    import labhil as lh
+    fit = lh.fit("run.mcap")
+    print(fit)
+
+Public are the names of ``labhil.__all__``, the modules :mod:`labhil.errors`, :mod:`labhil.devices` (for
+drivers of your own) and :mod:`labhil.testing` (the suite that such a driver passes), and what these say of
+themselves in their docstrings. Everything else, all that stands in another module, is private: it may change
+from one version to the next. Nothing is imported before it is used.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from labhil.version import __version__ as __version__
+
+if TYPE_CHECKING:
+    from labhil import devices, errors
+    from labhil.analysis.schema import (
+        ExcludedEffect,
+        Improvement,
+        Location,
+        MissingEffect,
+        Parameter,
+        Rival,
+        Score,
+    )
+    from labhil.api.acquisition import Experiment, connect, run
+    from labhil.api.arrays import recording
+    from labhil.api.diagnosis import Diagnosis, diagnose
+    from labhil.api.fit import Fit, fit
+    from labhil.api.model import Model, Terms, model
+    from labhil.api.recording import Recording, read
+    from labhil.api.saved import load
+    from labhil.api.simulation import Simulation
+    from labhil.api.verification import Verification, verify
+    from labhil.experiment.bench import Bench
+
+__all__ = [
+    "Bench",
+    "Diagnosis",
+    "ExcludedEffect",
+    "Experiment",
+    "Fit",
+    "Improvement",
+    "Location",
+    "MissingEffect",
+    "Model",
+    "Parameter",
+    "Recording",
+    "Rival",
+    "Score",
+    "Simulation",
+    "Terms",
+    "Verification",
+    "connect",
+    "devices",
+    "diagnose",
+    "errors",
+    "fit",
+    "load",
+    "model",
+    "read",
+    "recording",
+    "run",
+    "verify",
+]
+
+
+def __getattr__(name: str) -> Any:
+    from labhil.public import MODULE_OF, MODULES, public
+
+    if name not in MODULE_OF and name not in MODULES:
+        from difflib import get_close_matches
+
+        near = get_close_matches(name, __all__, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise AttributeError(f"module 'labhil' has no attribute {name!r}{hint}")
+    found = public(name)
+    # a package of that name that was imported on the way stays: it can be called, and its modules are found
+    return globals().setdefault(name, found)
+
+
+def __dir__() -> list[str]:
+    return sorted({*__all__, "testing", "__version__", "__doc__"})

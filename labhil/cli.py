@@ -23,14 +23,14 @@ from labhil.commands.studies import add_studies
 from labhil.commands.trials import add_trials
 from labhil.commands.tui import add_tui
 from labhil.console import forgiving_streams
-from labhil.errors import LabhilError
+from labhil.errors import LabhilError, OptionError
 from labhil.extras import missing_extra
 from labhil.terminal import complain, show
 
 app = typer.Typer(
     help="Record a rig and its simulation, find where they disagree, and say what physics was left out.",
     no_args_is_help=True,
-    add_completion=False,
+    add_completion=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -43,7 +43,7 @@ def main() -> None:
         try:
             app()
         except LabhilError as error:
-            complain(error)
+            complain(error.on_command_line if isinstance(error, OptionError) else error)
             sys.exit(error.exit_status)
         except ModuleNotFoundError as error:
             missing = missing_extra(error, "this command")
@@ -55,7 +55,7 @@ def main() -> None:
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from labhil import __version__
+        from labhil.version import __version__
 
         show(f"labhil {__version__}")
         raise typer.Exit

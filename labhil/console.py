@@ -12,10 +12,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TextIO
 
-from labhil.ending import Deadline, EndedEarly
-from labhil.errors import RunStoppedError, UsageError
+from labhil.errors import UsageError
 from labhil.extras import require
-from labhil.terminal import complain, printable, printable_json, show, terminal
+from labhil.terminal import complain, printable_json, show, terminal
 from labhil.whole import whole
 
 STDOUT = Path("-")
@@ -148,42 +147,7 @@ def split_names(text: str | None) -> tuple[str, ...] | None:
     return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
-@contextmanager
-def status() -> Iterator[Callable[[str], None]]:
-    """Show what is being done on stderr: a line that changes on a terminal, lines elsewhere."""
-    console = terminal(stderr=True)
-    if not console.is_terminal:
-        yield lambda text: console.print(text, highlight=False, soft_wrap=True)
-        return
-    from rich.text import Text
-
-    # a bare string would be read as markup there
-    with console.status(Text("starting")) as line:
-        yield lambda text: line.update(Text(printable(text)))
-
-
 def results_console() -> Any:
     """A console for results on stdout: as wide as the terminal, wide enough for a table elsewhere."""
     console = terminal()
     return console if console.is_terminal else terminal(width=140)
-
-
-@contextmanager
-def ending_early(seconds: float | None = None) -> Iterator[Deadline]:
-    """Let Ctrl+C, SIGTERM or the end of ``seconds`` end a long computation with the best so far.
-
-    RunStoppedError where there is nothing yet by then.
-    """
-    with Deadline(seconds) as deadline:
-        try:
-            yield deadline
-        except EndedEarly as early:
-            raise RunStoppedError(f"ended early ({early}), before there was a result") from early
-
-
-@contextmanager
-def early_line(complete: bool, deadline: Deadline, json_path: Path | None) -> Iterator[None]:
-    """Say first of all of a result that it was ended early."""
-    if not complete and json_path != STDOUT:
-        show(f"ENDED EARLY ({deadline.reason}): the best so far; more time may change it.")
-    yield

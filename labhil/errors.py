@@ -4,6 +4,7 @@
 
     LabhilError
     ├── UsageError                 exit 2: wrong use or bad input
+    │   ├── OptionError            an option, or an argument in Python, with a value that it cannot have
     │   ├── UnknownNameError       a plugin, rig, term, signal or parameter that does not exist
     │   ├── MissingExtraError      an optional package is not installed
     │   ├── MissingBenchmarksError the project's benchmarks are not at hand
@@ -29,6 +30,14 @@
 
 Every message says what was expected, what was found, and where. ``UsageError`` messages end up in
 front of a person as they are, so they are whole sentences without a traceback.
+
+Example:
+    >>> import labhil as lh
+    >>> try:
+    ...     lh.read("nowhere.mcap")
+    ... except lh.errors.RecordingError as error:
+    ...     print(error)
+    nowhere.mcap: cannot be read: No such file or directory
 """
 
 from __future__ import annotations
@@ -61,6 +70,17 @@ class UsageError(LabhilError):
     """Wrong use or bad input."""
 
     exit_status = 2
+
+
+class OptionError(UsageError):
+    """A value that an option of a command, or an argument of a Python function of that name, cannot have.
+
+    ``str`` names it as Python does, :attr:`on_command_line` as the command line does.
+    """
+
+    def __init__(self, option: str, message: str) -> None:
+        super().__init__(f"{option.replace('-', '_')}{message}")
+        self.on_command_line = f"--{option}{message}"
 
 
 class UnknownNameError(UsageError):

@@ -48,6 +48,8 @@ PACKAGES: Mapping[str, Package] = {
     "openpyxl": Package("openpyxl", "formats"),
     "pyarrow": Package("pyarrow", "formats"),
     "rosbags": Package("rosbags", "formats"),
+    "pandas": Package("pandas", "frames"),
+    "xarray": Package("xarray", "frames"),
     "pytest": Package("pytest", "test"),
 }
 """By the name under which it is imported."""

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -90,6 +92,20 @@ def terminal(**options: Any) -> Console:
 
     # [red] and :smile: in a name are part of the name
     return PrintableConsole(**{"markup": False, "emoji": False, **options})
+
+
+@contextmanager
+def status() -> Iterator[Callable[[str], None]]:
+    """Show what is being done on stderr: a line that changes on a terminal, lines elsewhere."""
+    console = terminal(stderr=True)
+    if not console.is_terminal:
+        yield lambda text: console.print(text, highlight=False, soft_wrap=True)
+        return
+    from rich.text import Text
+
+    # a bare string would be read as markup there
+    with console.status(Text("starting")) as line:
+        yield lambda text: line.update(Text(printable(text)))
 
 
 def _escape(found: re.Match[str]) -> str:

@@ -90,14 +90,14 @@ def test_a_host_loads_nothing_of_the_analysis(tmp_path: Path) -> None:
 
 
 def test_the_analysis_loads_no_bus_and_no_device(tmp_path: Path) -> None:
-    rooms = ("recording", "physics", "identify", "diagnose", "report")
+    rooms = ("recording", "physics", "identify", "diagnose", "analysis", "report")
     names = [name for room in rooms for name in modules_of(f"labhil.{room}")]
     assert loaded(f"import {', '.join(names)}", ACQUISITION, tmp_path) == []
 
 
 def test_neither_a_run_nor_a_fit_loads_the_terminal_ui(tmp_path: Path) -> None:
     code = (
-        "import labhil.experiment.run, labhil.experiment.show, labhil.service.host, labhil.report.study\n"
+        "import labhil.experiment.run, labhil.experiment.show, labhil.service.host, labhil.analysis.study\n"
         "import labhil.report.text, labhil.commands.acquisition, labhil.commands.analysis\n"
         "import labhil.commands.tui\n"
     )
@@ -115,6 +115,19 @@ def test_what_works_for_the_screen_loads_no_screen(tmp_path: Path) -> None:
 
 def test_the_command_line_itself_loads_neither(tmp_path: Path) -> None:
     assert loaded("import labhil.cli", (*ANALYSIS, *ACQUISITION, "numpy"), tmp_path) == []
+
+
+def test_importing_labhil_loads_nothing_of_either_wing(tmp_path: Path) -> None:
+    suspects = (*ANALYSIS, *ACQUISITION, "numpy", "pydantic", "rich", "pandas")
+    assert loaded("import labhil as lh\nassert 'fit' in dir(lh)", suspects, tmp_path) == []
+
+
+def test_acquiring_from_python_loads_no_analysis_and_reading_no_device(tmp_path: Path) -> None:
+    code = "import labhil as lh\nlh.connect('dc_motor', 'twin')\nlh.run, lh.Experiment, lh.read"
+    assert loaded(code, ANALYSIS, tmp_path) == []
+    recording = ROOT / "recordings" / "ball_beam_test.mcap"
+    code = f"import labhil as lh\nlh.read({str(recording)!r})['ball_position']\nlh.fit, lh.diagnose, lh.load"
+    assert loaded(code, (*ACQUISITION, "numba", "matplotlib"), tmp_path) == []
 
 
 def test_names_of_plugins_are_listed_without_importing_them(tmp_path: Path) -> None:

@@ -9,9 +9,9 @@ from typing import Annotated
 import typer
 
 from labhil.commands.trials import FIRST, METHOD, deliver_card
-from labhil.console import STDOUT, refuse_unwritable, results_console, status, write_json
+from labhil.console import STDOUT, refuse_unwritable, results_console, write_json
 from labhil.cores import cores
-from labhil.terminal import show, terminal
+from labhil.terminal import show, status, terminal
 
 app = typer.Typer(
     help="What measures labhil.",

@@ -22,11 +22,11 @@ from typing import Any
 
 import numpy as np
 
+from labhil.analysis.material import load_material
+from labhil.analysis.study import diagnose_study
 from labhil.experiment.experiment import parse_experiment
 from labhil.experiment.run import run_experiment
 from labhil.recording.reader import read_recording
-from labhil.report.material import load_material
-from labhil.report.study import diagnose_study
 from measured import tell
 
 TERMS = ("viscous_friction", "coulomb_friction")

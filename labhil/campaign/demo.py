@@ -20,15 +20,11 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from labhil.diagnose.answer import Diagnosis
+from labhil.api.diagnosis import Diagnosis, diagnose
 from labhil.errors import LimitTrippedError, RunError
 from labhil.experiment.experiment import Experiment, load_experiment
 from labhil.experiment.run import Progress, RunResult, answer_path, run_experiment
-from labhil.report.material import load_material
-from labhil.report.plots import diagnosis_plot
-from labhil.report.results import write_json
-from labhil.report.study import diagnose_study
-from labhil.report.text import show_diagnosis
+from labhil.report.figure import save
 from labhil.terminal import terminal
 
 SPEED = 5.0
@@ -84,17 +80,16 @@ def run_demo(out: Path, seed: int | None, say: Say) -> None:
     seals = {path: _seal(answer_path(path, "bench", several=False)) for path in (identify, test)}
     console.print(f"Recorded {identify} and {test}.")
     console.print(f"What the twin conceals is sealed: SHA-256 {seals[identify][:16]}…\n")
-    material = load_material(identify, test_path=test)
-    result = diagnose_study(material, progress=say)
-    show_diagnosis(result.diagnosis, console)
+    result = diagnose(identify, test=test, progress=say)
+    result.show(console)
     stem = identify.with_suffix("")
-    write_json(result.json, stem.with_suffix(".diagnosis.json"))
-    diagnosis_plot(result.diagnosis, stem.with_suffix(".png"))
-    _open_envelope(answer_path(identify, "bench", several=False), seals[identify], result.diagnosis, console)
+    result.save(stem.with_suffix(".diagnosis.json"))
+    save(result.figure(), stem.with_suffix(".png"))
+    _open_envelope(answer_path(identify, "bench", several=False), seals[identify], result, console)
     console.print(
         f"\nDrawn: {stem.with_suffix('.png')}; all numbers: {stem.with_suffix('.diagnosis.json')}.\n"
         f"Fit it again yourself: labhil fit {identify} --test {test} "
-        f"--terms {','.join(result.diagnosis.final_terms)}"
+        f"--terms {','.join(result.final.terms)}"
     )
 
 
@@ -152,12 +147,12 @@ def _open_envelope(path: Path, seal: str, diagnosis: Diagnosis, console: Console
     if _seal(path) != seal:
         raise RunError(f"{path}: the envelope was changed after it was sealed")
     truth = json.loads(path.read_text(encoding="utf-8"))
-    concealed = [name for name in truth["terms"] if name not in diagnosis.baseline_terms]
+    concealed = [name for name in truth["terms"] if name not in diagnosis.baseline.terms]
     found = [item.term for item in diagnosis.missing]
     console.print(
         f"\nThe envelope is opened. Concealed: {', '.join(concealed)}. Found: {', '.join(found) or '—'}."
     )
-    estimates = {row.name: row for row in diagnosis.final}
+    estimates = {row.name: row for row in diagnosis.final.parameters}
     table = Table(box=None, pad_edge=False)
     table.add_column("parameter")
     for name in ("truth", "estimate", "99 % interval"):
@@ -170,7 +165,10 @@ def _open_envelope(path: Path, seal: str, diagnosis: Diagnosis, console: Console
         if row is None:
             table.add_row(name, f"{value:.5g}", "—", "", "not found")
             continue
-        low, high = row.ci99
+        low, high = row.ci99 or (None, None)
+        if row.value is None or low is None or high is None or not row.std_error:
+            table.add_row(name, f"{value:.5g}", "—", "", "not known")
+            continue
         inside = "covered" if low <= value <= high else f"{abs(row.value - value) / row.std_error:.1f} σ off"
         table.add_row(name, f"{value:.5g}", f"{row.value:.5g}", f"[{low:.5g}, {high:.5g}]", inside)
     console.print(table)

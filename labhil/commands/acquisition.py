@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from labhil.commands.json_flag import JsonFlagCommand
-from labhil.console import split_names, tell, write_json
+from labhil.commands.json_flag import JsonFlagCommand, JsonOption
+from labhil.console import STDOUT, refuse_unwritable, split_names, tell, write_json
 from labhil.errors import UsageError
 from labhil.terminal import complain, show
 
@@ -153,7 +153,7 @@ def _commanded(signal: Signal, spec: DriverSpec) -> str:
 def run(
     experiment: Annotated[Path, typer.Argument(help="An experiment file (TOML).")],
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check everything, touch no device.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    json_path: JsonOption = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the recording goes.")] = Path(),
 ) -> None:
     """Acquire: run the steps of an experiment file and leave one recording.
@@ -161,24 +161,20 @@ def run(
     Its path is the last line of the output. Ctrl+C brings every device to its safe state and leaves a
     readable recording.
     """
-    from labhil.experiment.experiment import load_experiment
-    from labhil.experiment.plan import make_plan
+    from labhil.api.acquisition import Experiment
 
-    plan = make_plan(load_experiment(experiment))
+    refuse_unwritable(json_path)
+    planned = Experiment.load(experiment)
     if dry_run:
-        show(plan.describe())
+        show(planned.plan())
         return
-    from labhil.experiment.run import run_experiment
-    from labhil.experiment.show import ProgressBar
-
-    tell(plan.warnings())
-    with ProgressBar() as bar:
-        result = run_experiment(plan.experiment, out, bar)
+    tell(planned.warnings())
+    result = planned.execute(out, progress=True)
     if result.error is not None:
         complain(result.error)
     tell(result.warnings)
-    if as_json:
-        write_json(result.to_json())
-    elif result.path is not None:
+    if json_path is not None:
+        write_json(result.to_json(), json_path)
+    if json_path != STDOUT and result.path is not None:
         show(result.path)
     raise typer.Exit(result.exit_status)

@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from labhil.commands.files import RunOption
-from labhil.commands.json_flag import JsonFlagCommand
+from labhil.commands.json_flag import JsonFlagCommand, JsonOption
 from labhil.console import (
+    STDOUT,
     deliver,
-    early_line,
-    ending_early,
     refuse_unwritable,
     results_console,
     split_names,
-    status,
     tell,
-    write_json,
 )
-from labhil.errors import UsageError
-from labhil.terminal import show
+from labhil.terminal import show, status
+
+if TYPE_CHECKING:
+    from labhil.api.diagnosis import Diagnosis
+    from labhil.api.fit import Fit
 
 RecordingsArgument = Annotated[
     list[Path],
@@ -62,15 +62,13 @@ def add_analysis(app: typer.Typer) -> None:
 
 def terms(
     rig: Annotated[str | None, typer.Argument(help="A rig kind; all when absent.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print them as JSON.")] = False,
+    json_path: JsonOption = None,
 ) -> None:
     """List the effects that a rig's model may have, with equation, parameters, units and source."""
     from labhil.report.catalogue import catalogue_json, show_catalogue
 
-    if as_json:
-        write_json(catalogue_json(rig))
-    else:
-        show_catalogue(rig)
+    refuse_unwritable(json_path)
+    deliver(catalogue_json(rig), json_path, lambda: show_catalogue(rig))
 
 
 def fit(
@@ -119,37 +117,31 @@ def fit(
 
     Several recordings of a rig are fitted together: they share all values but those of --per-recording.
     """
-    from labhil.identify.estimators import estimator_named
-    from labhil.identify.fit import Options, criterion_named
-    from labhil.identify.intervals import interval_method
-    from labhil.report.faults import fault_lines
-    from labhil.report.kept_curve import curve_note
-    from labhil.report.material import load_material
-    from labhil.report.study import fit_study
-    from labhil.report.text import show_fit
+    from labhil.api.fit import fit as make
 
     refuse_unwritable(json_path, plot, html)
-    method, small = interval_method(intervals), criterion_named(criterion)
-    apart = split_names(per_recording) or ()
-    material = load_material(
-        recordings, rig, test, holdout, apart, span=span, all_of_it=True, device=device, run=run
-    )
-    tell(material.losses())
-    with status() as say, ending_early() as deadline:
-        options = Options(window, method, simultaneous, estimator_named(estimator), seed, say, small)
-        result = fit_study(material, terms=split_names(names), start=model, options=options)
-    notes = [*fault_lines(result.faults), *result.doubts, *material.numbered()]
-    notes += [*material.notes(), *curve_note(model)]
-    with early_line(result.fit.complete, deadline, json_path):
-        deliver(result.json, json_path, lambda: show_fit(result.fit, results_console(), notes))
-    if plot is not None:
-        from labhil.report.fit_plot import fit_plot
-
-        fit_plot(result.fit, material.judge, plot)
-    if html is not None:
-        from labhil.report.html.study import write_fit_page
-
-        write_fit_page(result, html)
+    with status() as say:
+        result = make(
+            recordings,
+            rig,
+            terms=names,
+            test=test or None,
+            holdout=holdout,
+            start=model,
+            per_recording=per_recording,
+            span=span,
+            estimator=estimator,
+            seed=seed,
+            window=window,
+            intervals=intervals,
+            simultaneous=simultaneous,
+            criterion=criterion,
+            device=device,
+            run=run,
+            progress=say,
+            warn=tell,
+        )
+    _deliver(result, json_path, plot, html)
 
 
 def diagnose(
@@ -179,32 +171,41 @@ def diagnose(
 
     Several recordings of a rig are searched together: they share all values but those of --per-recording.
     """
-    from labhil.report.kept_curve import curve_note
-    from labhil.report.material import load_material
-    from labhil.report.study import diagnose_study
-    from labhil.report.text import show_diagnosis
+    from labhil.api.diagnosis import diagnose as search
 
     refuse_unwritable(json_path, plot, html)
-    if seconds is not None and not seconds > 0:
-        raise UsageError(f"--seconds: expected more than 0, found {seconds:g}")
-    apart = split_names(per_recording) or ()
-    material = load_material(recordings, rig, test, holdout, apart, span=span, device=device, run=run)
-    tell(material.losses())
-    with status() as say, ending_early(seconds) as deadline:
-        result = diagnose_study(material, baseline=split_names(baseline), reference=model, progress=say)
-    notes = [*result.doubts, *material.numbered(), *material.notes(), *curve_note(model)]
-    with early_line(result.diagnosis.complete, deadline, json_path):
-        deliver(result.json, json_path, lambda: show_diagnosis(result.diagnosis, results_console(), notes))
-    if plot is not None:
-        from labhil.report.plots import diagnosis_plot
-
-        diagnosis_plot(result.diagnosis, plot)
-    if html is not None:
-        from labhil.report.html.study import write_diagnosis_page
-
-        write_diagnosis_page(result, html)
-    if exit_code and result.diagnosis.verdict != "no_mismatch":
+    with status() as say:
+        result = search(
+            recordings,
+            rig,
+            baseline=baseline,
+            test=test or None,
+            holdout=holdout,
+            reference=model,
+            per_recording=per_recording,
+            span=span,
+            device=device,
+            run=run,
+            seconds=seconds,
+            progress=say,
+            warn=tell,
+        )
+    _deliver(result, json_path, plot, html)
+    if exit_code and result.verdict != "no_mismatch":
         raise typer.Exit(1)
+
+
+def _deliver(result: Fit | Diagnosis, json_path: Path | None, plot: Path | None, html: Path | None) -> None:
+    """Save a result, show it, draw it, and make a page of it."""
+    if not result.complete and json_path != STDOUT:
+        show(f"ENDED EARLY ({result.ended}): the best so far; more time may change it.")
+    deliver(result.to_dict(), json_path, lambda: result.show(results_console()))
+    if plot is not None:
+        from labhil.report.figure import save
+
+        save(result.figure(), plot)
+    if html is not None:
+        result.report(html)
 
 
 def verify(
@@ -224,21 +225,23 @@ def verify(
     Tests the windowed simulation with the values as they are, whether the refitted model leaves residuals
     that go with the input, and whether refitted values differ from the accepted ones.
     """
-    from labhil.report.verification import show_verification, verify_study
+    from labhil.api.verification import verify as compare
 
     refuse_unwritable(json_path)
     with status() as say:
-        result = verify_study(recording, model, rig, alpha=alpha, device=device, run=run, progress=say)
-    tell(result.losses)
-    deliver(result.json, json_path, lambda: show_verification(result.verification, results_console()))
-    if not result.verification.consistent:
+        result = compare(recording, model, rig, alpha=alpha, device=device, run=run, progress=say, warn=tell)
+    deliver(result.to_dict(), json_path, lambda: result.show(results_console()))
+    if result.contradicted:
         raise typer.Exit(1)
 
 
 def report(
     result: Annotated[
         Path,
-        typer.Argument(metavar="OUT.json|REC.mcap", help="The JSON of a fit or diagnosis, or a recording."),
+        typer.Argument(
+            metavar="OUT.json|REC.mcap",
+            help="The JSON of a fit, diagnosis or verification, or a recording.",
+        ),
     ],
     out: Annotated[Path, typer.Option("-o", "--out", help="The page to write (.html).")],
     run: RunOption = None,
@@ -263,8 +266,8 @@ def linear(
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
 ) -> None:
     """Fit linear and black-box baselines, to see what physics is worth: ARX, OE, state space, NARX, …"""
+    from labhil.analysis.material import load_material
     from labhil.identify.linear import linear_study, study_json, study_text
-    from labhil.report.material import load_material
 
     refuse_unwritable(json_path)
     material = load_material(recording, rig, test, holdout, run=run)

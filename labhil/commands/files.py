@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from labhil.console import deliver, refuse_unwritable, status, tell
-from labhil.terminal import show
+from labhil.console import deliver, refuse_unwritable, tell
+from labhil.terminal import show, status
 
 RunOption = Annotated[
     int | None,
@@ -33,9 +33,10 @@ def import_(
     out: Annotated[Path, typer.Option("-o", "--out", help="The recording to write (.mcap).")],
 ) -> None:
     """Make a recording of a table that others wrote."""
+    from labhil.analysis.doubts import doubts_in
+    from labhil.analysis.import_check import checked
     from labhil.recording.reader import read_recording
     from labhil.recording.tables import describe_import, import_table, write_import
-    from labhil.report.import_check import checked
     from labhil.rig import load_rig
 
     table = import_table(data, load_rig(rig))
@@ -46,26 +47,8 @@ def import_(
     path = write_import(table, out)
     faults = (fault for data in read_recording(path).streams for fault in data.clock_faults)
     tell(f"{data}: {fault.statement}" for fault in faults)
-    tell(_doubts(path))
+    tell(doubts_in(read_recording(path)))
     show(path)
-
-
-def _doubts(path: Path) -> list[str]:
-    """What the physics of the rig calls implausible; nothing of a recording that lacks what a model needs."""
-    from labhil.errors import LabhilError
-    from labhil.identify.plausibility import doubts_of
-    from labhil.physics.rigs import record_of
-    from labhil.recording.reader import read_recording
-
-    recording = read_recording(path)
-    if recording.rig is None:
-        return []
-    try:
-        record = record_of(recording, recording.rig.kind)
-        found = doubts_of(record, recording.rig, time_column=recording.time_column)
-        return [doubt.statement for doubt in found]
-    except LabhilError:
-        return []
 
 
 def export(

@@ -1,20 +1,28 @@
-"""Commands whose result goes to stdout as JSON by a plain ``--json``: ``--json -`` says the same there."""
+"""``--json`` of commands that print their result as JSON: a path, ``-`` for stdout, or nothing for stdout."""
 
 from __future__ import annotations
 
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
+import typer
 from typer.core import TyperCommand
+
+JsonOption = Annotated[
+    Path | None,
+    typer.Option("--json", metavar="[PATH]", help="Write the result here as JSON; without a path to stdout."),
+]
 
 
 class JsonFlagCommand(TyperCommand):
-    """A command with the flag ``--json``, which may be followed by ``-`` as it is everywhere else."""
+    """A command whose ``--json`` may stand alone; what follows is its path if it is - or ends in .json."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Take ``-`` for what it is there: no argument."""
+        """Give a ``--json`` that stands alone the path that means stdout."""
         taken: list[str] = []
-        for arg in args:
-            if arg == "-" and taken[-1:] == ["--json"]:
-                continue
-            taken.append("--json" if arg == "--json=-" else arg)
+        for place, arg in enumerate(args):
+            taken.append(arg)
+            following = args[place + 1] if place + 1 < len(args) else ""
+            if arg == "--json" and following != "-" and not following.endswith(".json"):
+                taken.append("-")
         return super().parse_args(ctx, taken)

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from labhil.commands.json_flag import JsonFlagCommand
-from labhil.console import write_json
+from labhil.commands.json_flag import JsonFlagCommand, JsonOption
+from labhil.console import STDOUT, write_json
 from labhil.terminal import show
 
 
@@ -18,7 +18,7 @@ def add_machine(app: typer.Typer) -> None:
 
 
 def doctor(
-    as_json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
+    json_path: JsonOption = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where recordings would go.")] = Path(),
 ) -> None:
     """Say whether this machine can do the work: packages, compiler, bus, serial ports, timer, disk.
@@ -30,10 +30,10 @@ def doctor(
     findings = []
     for finding in examine(out):
         findings.append(finding)
-        if not as_json:
+        if json_path != STDOUT:
             show(line(finding))
     told = to_json(findings)
-    if as_json:
-        write_json(told)
+    if json_path is not None:
+        write_json(told, json_path)
     if not told["fine"]:
         raise typer.Exit(1)

@@ -7,15 +7,14 @@ from typing import Annotated
 
 import typer
 
-from labhil.commands.json_flag import JsonFlagCommand
-from labhil.console import tell, write_json
+from labhil.commands.json_flag import JsonFlagCommand, JsonOption
+from labhil.console import STDOUT, tell, write_json
 from labhil.terminal import complain, show
 
 Connect = Annotated[
     str | None,
     typer.Option(metavar="ENDPOINT", help="The bus, like tcp/127.0.0.1:40123 (default: found by itself)."),
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
 
 def add_safety(app: typer.Typer) -> None:
@@ -31,7 +30,7 @@ def estop(
     ] = False,
     reason: Annotated[str, typer.Option(help="Stands in every recording.")] = "no reason was given",
     connect: Connect = None,
-    as_json: AsJson = False,
+    json_path: JsonOption = None,
 ) -> None:
     """Emergency stop: every device goes to its safe state at once, and stays there.
 
@@ -42,23 +41,22 @@ def estop(
 
     by = f"labhil estop (user {os.getuid()}, pid {os.getpid()})"
     outcome = release_everywhere(connect) if release else press_everywhere(by, reason, connect)
-    if as_json:
-        write_json(
-            {
-                "schema": "labhil.estop/1",
-                "action": "release" if release else "press",
-                "answered": dict(outcome.answered),
-                "failed": dict(outcome.failed),
-                "silent": list(outcome.silent),
-            }
-        )
-    else:
+    if json_path != STDOUT:
         for device, state in sorted(outcome.answered.items()):
             show(f"{device}: {state}")
     for device, why in sorted(outcome.failed.items()):
         complain(f"{device}: DID NOT STOP PROPERLY: {why}")
     for device in outcome.silent:
         complain(f"{device}: NO ANSWER. Do not rely on it: switch its power off.")
+    if json_path is not None:
+        told = {
+            "schema": "labhil.estop/1",
+            "action": "release" if release else "press",
+            "answered": dict(outcome.answered),
+            "failed": dict(outcome.failed),
+            "silent": list(outcome.silent),
+        }
+        write_json(told, json_path)
     if release:
         none_there = not (outcome.answered or outcome.failed or outcome.silent)
         tell(["released"] + (["no device was there to be told"] if none_there else []))

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from labhil.console import deliver, refuse_unwritable, results_console, status
+from labhil.console import deliver, refuse_unwritable, results_console
+from labhil.terminal import status
 
 
 def add_studies(app: typer.Typer) -> None:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from labhil.commands.benchmarks import add_trial_benchmarks
-from labhil.console import deliver, refuse_unwritable, results_console, status
+from labhil.console import deliver, refuse_unwritable, results_console
 from labhil.cores import cores
-from labhil.terminal import show
+from labhil.terminal import show, status
 
 if TYPE_CHECKING:
     from labhil.campaign.trials.card import Card

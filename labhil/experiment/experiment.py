@@ -17,8 +17,8 @@ from labhil.experiment.excitation.function import Excitation, Excitations, Seed
 from labhil.experiment.excitation.make import ExcitationKeys, check_keys, make_excitation
 from labhil.experiment.excitation.table import Between
 from labhil.experiment.excitation.tones import PhaseRule, Sweep
-from labhil.experiment.toml import to_toml
 from labhil.rig import RigFile, default_rig, explain, load_rig
+from labhil.toml_text import to_toml
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]

@@ -18,3 +18,9 @@ __all__ = [
     "read_recording",
     "write_import",
 ]
+
+import sys
+
+from labhil.public import CallablePackage
+
+sys.modules[__name__].__class__ = CallablePackage

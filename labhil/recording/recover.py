@@ -17,13 +17,13 @@ from mcap.records import Message as StoredMessage
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
-from labhil import __version__
 from labhil.errors import RecordingError, RecordingFailedError
 from labhil.recording.chunks import is_mcap, scan
 from labhil.recording.reorder import Ordered, reorder
 from labhil.recording.salvage import Loss, Message, Salvage, salvage
 from labhil.recording.writer import CHUNK_SIZE
 from labhil.terminal import printable_name
+from labhil.version import __version__
 
 METADATA = "recover"
 MOST_SPANS = 5

@@ -20,10 +20,10 @@ from typing import Any, BinaryIO, Self
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import CompressionType, Writer
 
-from labhil import __version__
 from labhil.codec import LAYOUT_VERSION, Codec, stamps_of, stream_to_json
 from labhil.errors import ProtocolError, RecordingError, RecordingFailedError
 from labhil.signals import Batch, Stream
+from labhil.version import __version__
 
 FLUSH_INTERVAL = 0.2
 """Seconds between two flushes; what a killed process loses at most."""

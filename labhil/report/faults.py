@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from labhil.diagnose.fault import Fault, Kind
+from labhil.analysis.schema import Fault
+from labhil.diagnose.fault import Kind
 
 HARMLESS = (Kind.GAP, Kind.NO_EXCITATION)
 """What takes nothing from the numbers of a fit but data."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from labhil.identify.fit import Fit
-from labhil.identify.score import ChannelScore, Score
+from labhil.identify.score import ChannelScore
 from labhil.identify.statistics import autocorrelation, runs
 from labhil.physics.model import Record
 from labhil.physics.terms import keyed
@@ -40,11 +39,10 @@ def fit_figure(fit: Fit, judged: Record, columns: int = 4) -> Figure:
     figure = figure_of((3.75 * columns if columns == 4 else 5.5 * columns, 3.4 * height))
     rows = figure.subplots(height, columns, squeeze=False).reshape(len(shown), 4)
     for j, channel in enumerate(shown):
-        _draw_simulation(rows[j, 0], score, channel, j, judged)
-        _draw_errors(rows[j, 1], score, channel, j, judged)
+        draw_simulation(rows[j, 0], fit, judged, j)
+        draw_errors(rows[j, 1], fit, judged, j)
         _draw_histogram(rows[j, 2], score.errors[:, j], channel)
-        own = runs(fit.fitted.problem.begins, len(fit.residuals))
-        _draw_autocorrelation(rows[j, 3], [fit.residuals[run, j] for run in own])
+        draw_autocorrelation(rows[j, 3], fit, j)
     return figure
 
 
@@ -52,7 +50,10 @@ def _name(channel: ChannelScore) -> str:
     return f"{keyed(channel.channel, channel.joint)}, {channel.unit}"
 
 
-def _draw_simulation(axes: Axes, score: Score, channel: ChannelScore, j: int, record: Record) -> None:
+def draw_simulation(axes: Axes, fit: Fit, record: Record, j: int) -> None:
+    """The scored simulation of output ``j`` beside the measurement."""
+    score = fit.test or fit.train
+    channel = score.channels[j]
     t, measured = record.t[score.rows], record.outputs[score.rows, j]
     axes.plot(t, broken(score, measured), color=MEASURED, lw=2.5, alpha=0.5, label="measured")
     simulated = broken(score, measured + score.errors[:, j])
@@ -60,7 +61,10 @@ def _draw_simulation(axes: Axes, score: Score, channel: ChannelScore, j: int, re
     finish(axes, "Model and measurement", time_axis(axes, record), _name(channel))
 
 
-def _draw_errors(axes: Axes, score: Score, channel: ChannelScore, j: int, record: Record) -> None:
+def draw_errors(axes: Axes, fit: Fit, record: Record, j: int) -> None:
+    """The errors of output ``j`` over time, with the noise floor."""
+    score = fit.test or fit.train
+    channel = score.channels[j]
     axes.plot(record.t[score.rows], broken(score, score.errors[:, j]), color=AFTER, lw=0.8)
     floor = channel.noise_floor
     axes.axhspan(-floor, floor, color="k", alpha=0.12, label="noise floor")
@@ -78,8 +82,10 @@ def _draw_histogram(axes: Axes, errors: FloatArray, channel: ChannelScore) -> No
     finish(axes, "Errors, distribution", channel.unit, "density")
 
 
-def _draw_autocorrelation(axes: Axes, residuals: Sequence[FloatArray]) -> None:
-    """That of the residuals of each recording, the mean of them."""
+def draw_autocorrelation(axes: Axes, fit: Fit, j: int) -> None:
+    """That of the fitted residuals of output ``j`` in each recording, the mean of them."""
+    own = runs(fit.fitted.problem.begins, len(fit.residuals))
+    residuals = [fit.residuals[run, j] for run in own]
     lengths = [len(own) for own in residuals]
     lags = min(LAGS, min(lengths) // 3)
     correlation = np.average([autocorrelation(own, lags) for own in residuals], axis=0, weights=lengths)

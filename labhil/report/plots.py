@@ -43,8 +43,8 @@ def diagnosis_figure(diagnosis: Diagnosis) -> Figure:
     rows = 1 + math.ceil(len(below) / columns)
     figure = figure_of((11.0, 4.0 * rows))
     grid = figure.add_gridspec(rows, 6)
-    _draw_windows(figure.add_subplot(grid[0, :3]), diagnosis, j)
-    _draw_errors(figure.add_subplot(grid[0, 3:]), diagnosis, j)
+    draw_windows(figure.add_subplot(grid[0, :3]), diagnosis, j)
+    draw_errors(figure.add_subplot(grid[0, 3:]), diagnosis, j)
     wide = 6 // columns
     for i, draw in enumerate(below):
         row, column = divmod(i, columns)
@@ -81,12 +81,13 @@ def channel_figure(diagnosis: Diagnosis, j: int) -> Figure:
     """Simulation and errors of output channel ``j`` as a figure: for rigs that have more than one."""
     figure = figure_of((11.0, 3.6))
     axes = figure.subplots(1, 2)
-    _draw_windows(axes[0], diagnosis, j)
-    _draw_errors(axes[1], diagnosis, j)
+    draw_windows(axes[0], diagnosis, j)
+    draw_errors(axes[1], diagnosis, j)
     return figure
 
 
-def _draw_windows(axes: Axes, diagnosis: Diagnosis, j: int) -> None:
+def draw_windows(axes: Axes, diagnosis: Diagnosis, j: int) -> None:
+    """Output ``j`` as measured, and as simulated before and after."""
     record, rows = diagnosis.held_out, diagnosis.after.rows
     t, measured = record.t[rows], record.outputs[rows, j]
     channel = diagnosis.after.channels[j]
@@ -99,7 +100,8 @@ def _draw_windows(axes: Axes, diagnosis: Diagnosis, j: int) -> None:
     finish(axes, f"{what} on data the search never saw", time_axis(axes, record), f"{name}, {channel.unit}")
 
 
-def _draw_errors(axes: Axes, diagnosis: Diagnosis, j: int) -> None:
+def draw_errors(axes: Axes, diagnosis: Diagnosis, j: int) -> None:
+    """The errors of output ``j`` before and after, with the noise floor."""
     record = diagnosis.held_out
     channel = diagnosis.after.channels[j]
     for score, colour, label in _both(diagnosis, j):
@@ -117,10 +119,23 @@ def _missing(diagnosis: Diagnosis) -> list[Panel]:
     named = diagnosis.named
     if not named:
         return panels
+    shares, regimes = _lived(diagnosis)
+    return [partial(_draw_effect, share=shares[term], regimes=regimes[term]) for term in named] + panels
+
+
+def _lived(
+    diagnosis: Diagnosis,
+) -> tuple[dict[str, locate.Contribution], dict[str, tuple[locate.Regime, ...]]]:
+    """What each found effect contributes to held-out data, and the regimes where it lives."""
     seen = locate.HeldOut(diagnosis.held_out, diagnosis.before, diagnosis.after)
     joint = diagnosis.location.joint if diagnosis.location is not None else None
-    shares, regimes = locate.lived(diagnosis.final_fit, named, seen, joint)
-    return [partial(_draw_effect, share=shares[term], regimes=regimes[term]) for term in named] + panels
+    return locate.lived(diagnosis.final_fit, diagnosis.named, seen, joint)
+
+
+def draw_named_effect(axes: Axes, diagnosis: Diagnosis, term: str) -> None:
+    """What the found effect with this key adds, over the coordinate where it shows best."""
+    shares, regimes = _lived(diagnosis)
+    _draw_effect(axes, shares[term], regimes[term])
 
 
 def _draw_nothing(axes: Axes) -> None:

@@ -12,7 +12,6 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from labhil import __version__
 from labhil.errors import ProtocolError
 from labhil.link import (
     ChannelScale,
@@ -27,6 +26,7 @@ from labhil.link import (
     StateFlag,
     encode,
 )
+from labhil.version import __version__
 
 COMMAND_TIMEOUT = 0.3
 FIRMWARE_VERSION = (0, 1, 0)

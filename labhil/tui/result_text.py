@@ -8,20 +8,21 @@ from pathlib import Path
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from labhil.physics.terms import keyed, listed
-from labhil.report.absent import joints_table, of_joints, silences
-from labhil.report.html.quantity import chance, interval, multiple, p_value, percent, quantity
-from labhil.report.html.schema import (
+from labhil.analysis.schema import (
     ChannelErrors,
     DiagnosisPart,
     FitPart,
-    ImprovementPart,
-    MissingPart,
-    ParameterRow,
-    RivalPart,
-    ScorePart,
+    Improvement,
+    MissingEffect,
+    Parameter,
+    Rival,
+    Score,
 )
-from labhil.report.verdicts import FIT_VERDICTS, VERDICTS
+from labhil.analysis.verdicts import FIT_VERDICTS, VERDICTS
+from labhil.physics.terms import keyed, listed
+from labhil.report.absent import joints_table, of_joints, silences
+from labhil.report.html.quantity import chance, interval, multiple, p_value, percent, quantity
+from labhil.report.parameter_columns import COLUMNS
 from labhil.tui.words import PlainTable
 
 Colours = dict[str, str]
@@ -83,25 +84,22 @@ def _title(text: str, colours: Colours) -> Text:
     return Text(f"\n{text}", style=f"bold {colours['primary']}")
 
 
-def parameter_table(rows: Sequence[ParameterRow], colours: Colours) -> PlainTable:
+def parameter_table(rows: Sequence[Parameter], colours: Colours) -> PlainTable:
     """One row per parameter; a word says what cannot be relied on."""
     table = PlainTable(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style=colours["muted"])
     # where room is short the name is what is cut: the one column that may be wrapped is made narrow first
     table.add_column("parameter", overflow="ellipsis", min_width=20, max_width=38)
-    table.add_column("value", justify="right", no_wrap=True)
-    table.add_column("99 % interval", no_wrap=True)
+    columns = [column.screen for column in COLUMNS if column.screen is not None]
+    for place, (name, _) in enumerate(columns):
+        table.add_column(name, justify="left" if place else "right", no_wrap=True)
     table.add_column("", no_wrap=True)
     for row in rows:
-        table.add_row(
-            row.key,
-            Text(quantity(row.value, row.unit), style="bold"),
-            Text(interval(row.ci99)),
-            _remark(row, colours),
-        )
+        cells = [Text(cell(row), style="" if place else "bold") for place, (_, cell) in enumerate(columns)]
+        table.add_row(row.key, *cells, _remark(row, colours))
     return table
 
 
-def _remark(row: ParameterRow, colours: Colours) -> Text:
+def _remark(row: Parameter, colours: Colours) -> Text:
     if row.held:
         return Text("○ held", style=colours["muted"])
     if not row.identifiable:
@@ -137,7 +135,7 @@ def _scores(fit: FitPart) -> PlainTable:
     return table
 
 
-def _rows_of(score: ScorePart | None) -> Sequence[ChannelErrors]:
+def _rows_of(score: Score | None) -> Sequence[ChannelErrors]:
     return () if score is None else score.per_channel
 
 
@@ -196,7 +194,7 @@ def diagnosis_text(found: DiagnosisPart, colours: Colours) -> RenderableType:
     return Group(*parts, *_rest(found, colours))
 
 
-def _missing(item: MissingPart, rivals: Sequence[RivalPart], colours: Colours) -> RenderableType:
+def _missing(item: MissingEffect, rivals: Sequence[Rival], colours: Colours) -> RenderableType:
     text = Text()
     text.append(f"◆ {keyed(item.term, item.joint)}", style=f"bold {colours['accent']}")
     text.append(f"  probability {chance(item.probability)}\n")
@@ -231,7 +229,7 @@ def _changed(found: DiagnosisPart) -> PlainTable:
     return table
 
 
-def _improvement(better: ImprovementPart, colours: Colours) -> RenderableType:
+def _improvement(better: Improvement, colours: Colours) -> RenderableType:
     on = "the test recording" if better.data == "test" else "held-out data"
     horizon = "" if better.horizon is None else f", windows of {quantity(better.horizon, 's')}"
     table = _plain_table(("on " + on + horizon,), ("before", "after", "noise floor"))
@@ -245,7 +243,7 @@ def _improvement(better: ImprovementPart, colours: Colours) -> RenderableType:
     return Group(table, _bars(better, colours))
 
 
-def _bars(better: ImprovementPart, colours: Colours) -> Text:
+def _bars(better: Improvement, colours: Colours) -> Text:
     """Errors as lengths, in multiples of the noise floor, on a scale of powers of ten."""
     import math
 

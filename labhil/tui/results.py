@@ -15,10 +15,10 @@ from textual.containers import Container, Vertical, VerticalScroll
 from textual.widgets import DataTable, Static
 from textual.widgets.data_table import CellDoesNotExist
 
+from labhil.analysis.schema import DiagnosisPart, EstimatedCurve, FitPart, json_of, result_of
 from labhil.campaign.studies.curves import read_curves
 from labhil.campaign.studies.jobs import Job, Jobs
 from labhil.errors import LabhilError
-from labhil.report.html.schema import CurvePart, DiagnosisPart, FitPart, json_of, result_of
 from labhil.signals import FloatArray
 from labhil.tui.curve import Curve, Pen
 from labhil.tui.plot import Chart
@@ -289,7 +289,7 @@ def charts_of(
         yield from (_curve(curve) for curve in drawn if len(curve.depends_on) == 1)
 
 
-def _curve(curve: CurvePart) -> tuple[str, list[Curve]]:
+def _curve(curve: EstimatedCurve) -> tuple[str, list[Curve]]:
     x, value = np.array(curve.x, dtype=float).ravel(), np.array(curve.value, dtype=float)
     drawn = [Curve(x, value, "curve-0", Pen.SOLID, "estimate")]
     for side in curve.ci99:

@@ -14,10 +14,12 @@ from rich.console import Console
 sys.path.insert(0, str(Path(__file__).parent))
 from one_input_rigs import Replay, replay, staircase
 
+from labhil.analysis.results import fit_json
+from labhil.analysis.schema import FitPart, checked
+from labhil.analysis.verdicts import fit_verdict
 from labhil.identify.adequacy import EXPLAINED_TO, FitVerdict, adequacy_of
 from labhil.identify.fit import Fit, Options, fit
 from labhil.report.text import show_fit
-from labhil.report.verdicts import fit_verdict
 
 TERMS = ["viscous_friction", "coulomb_friction"]
 FAST = Options(estimator="nlse")
@@ -31,7 +33,8 @@ def motor() -> Replay:
 
 def shown(found: Fit) -> str:
     text = StringIO()
-    show_fit(found, Console(width=140, file=text))
+    data = fit_json(found, [], "dc_motor", "nlse", 0, 0.0)
+    show_fit(checked(FitPart, data, "the fit"), Console(width=140, file=text))
     return text.getvalue()
 
 

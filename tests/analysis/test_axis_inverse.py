@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labhil.analysis.results import fit_json
+from labhil.analysis.schema import FitPart, checked
 from labhil.errors import RecordingError, UsageError
 from labhil.identify.fit import Options, fit
 from labhil.identify.score import score, with_forces
@@ -16,8 +18,6 @@ from labhil.physics.model import Metric, Record, index_of
 from labhil.physics.rigs import by_inverse_dynamics, model_for
 from labhil.report.html.fit import fit_page
 from labhil.report.html.picture import Album
-from labhil.report.html.schema import FitPart, checked
-from labhil.report.results import fit_json
 from labhil.rig import default_rig
 
 sys.path.insert(0, str(Path(__file__).parent))

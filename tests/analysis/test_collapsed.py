@@ -12,6 +12,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from one_input_rigs import replay, rig_of, staircase
 
+from labhil.analysis.results import finite
 from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.collapsed import NEAR, given_way, kept_near
 from labhil.diagnose.diagnosis import _changes, data_of, diagnose
@@ -22,7 +23,6 @@ from labhil.physics.ball_beam import BallBeamModel
 from labhil.physics.dc_motor import DcMotorModel
 from labhil.physics.model import Record, index_of
 from labhil.physics.terms import Parameter
-from labhil.report.results import finite
 from labhil.rig import parse_rig
 from labhil.signals import Hold
 

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from labhil.analysis.results import Source, diagnosis_json
 from labhil.diagnose import locate
 from labhil.diagnose.answer import Diagnosis
 from labhil.diagnose.diagnosis import diagnose
 from labhil.diagnose.evidence import independent
 from labhil.identify.statistics import Estimate
 from labhil.report.plots import diagnosis_figure
-from labhil.report.results import Source, diagnosis_json
 
 BASELINE = ("viscous_friction",)
 DRY = ("viscous_friction", "coulomb_friction", "stribeck_friction")

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy import integrate
 
+from labhil.analysis.material import load_material
 from labhil.diagnose.diagnosis import data_of, fit_baseline
 from labhil.diagnose.structures.marginal import KAPPA, Batch, Disturbance, grams, log_evidence
 from labhil.diagnose.structures.search import search_structures
-from labhil.report.material import load_material
 
 ROOT = Path(__file__).parents[2]
 

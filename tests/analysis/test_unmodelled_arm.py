@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labhil.analysis.kept_curve import curves_json, under_kept_curve
+from labhil.analysis.results import diagnosis_json
 from labhil.diagnose.beyond import beyond
 from labhil.diagnose.diagnosis import data_of, diagnose, fit_baseline
 from labhil.diagnose.found import Found
@@ -25,9 +27,7 @@ from labhil.kinds import JOINTS
 from labhil.physics.arm import ArmModel
 from labhil.physics.extra_force import ExtraForce, Over
 from labhil.physics.model import Record, Windows, terms_named
-from labhil.report.kept_curve import curves_json, under_kept_curve
 from labhil.report.plots import diagnosis_plot
-from labhil.report.results import diagnosis_json
 from labhil.rig import parse_rig
 from labhil.signals import FloatArray
 from labhil_benchmarks.statistics import arm

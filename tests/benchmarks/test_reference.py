@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from labhil.analysis.results import finite
 from labhil.errors import UnknownNameError, UsageError
 from labhil.identify.problem import Point
-from labhil.report.results import finite
 from labhil_benchmarks.reference import findings, published, run_reference
 from labhil_benchmarks.reference.command import reference_command
 from labhil_benchmarks.reference.levels import Levels

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from labhil.errors import ExperimentFileError, ProtocolError, RigFileError
 from labhil.experiment.experiment import Experiment, parse_experiment
-from labhil.experiment.toml import to_toml
 from labhil.kinds import KINDS
 from labhil.link import Config, Hello, SetCommand, State
 from labhil.rig import RigFile, parse_rig
+from labhil.toml_text import to_toml
 
 EXAMPLES = int(os.environ.get("LABHIL_EXAMPLES", "10"))
 """Of each property; set LABHIL_EXAMPLES for more."""

@@ -13,11 +13,11 @@ from pathlib import Path
 
 import pytest
 
+from labhil.analysis.material import Material, load_material
+from labhil.analysis.study import diagnose_study, fit_study
 from labhil.console import STDOUT, deliver
 from labhil.ending import Deadline, EndedEarly, checkpoint
 from labhil.identify.fit import Options
-from labhil.report.material import Material, load_material
-from labhil.report.study import diagnose_study, fit_study
 
 RECORDING = Path(__file__).parents[2] / "recordings" / "ball_beam_identify.mcap"
 LABHIL = [sys.executable, "-P", "-m", "labhil"]

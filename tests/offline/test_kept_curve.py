@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labhil.analysis.kept_curve import curves_json, under_kept_curve
 from labhil.errors import ModelFileError
 from labhil.identify.extended import Coordinate
 from labhil.identify.fitted import start_theta
@@ -18,7 +19,6 @@ from labhil.physics.extra_force import Over
 from labhil.physics.model import Record
 from labhil.physics.rigs import model_for
 from labhil.plants.axis import AxisPlant
-from labhil.report.kept_curve import curves_json, under_kept_curve
 from labhil.rig import parse_rig
 from labhil.signals import Hold
 

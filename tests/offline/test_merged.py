@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labhil.analysis.material import load_material
 from labhil.recording.writer import RecordingWriter
-from labhil.report.material import load_material
 from labhil.signals import Batch, Direction, Signal, Stream
 
 RIG = '[rig]\nkind = "ball_beam"\n'

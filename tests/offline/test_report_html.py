@@ -13,8 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rich.console import Console
+from rich.console import Console, RenderableType
 
+from labhil.analysis.results import _rows, finite
+from labhil.analysis.schema import DiagnosisPart, FitPart, checked
+from labhil.analysis.verdicts import VERDICTS
 from labhil.diagnose.collapsed import Collapsed
 from labhil.identify.statistics import stated
 from labhil.physics.terms import Parameter
@@ -24,10 +27,8 @@ from labhil.report.html.element import tag
 from labhil.report.html.fit import fit_page
 from labhil.report.html.picture import Album
 from labhil.report.html.quantity import chance, interval, percent, quantity
-from labhil.report.html.schema import DiagnosisPart, FitPart, checked
 from labhil.report.html.signals import STRETCHES, envelope
-from labhil.report.results import _rows, finite
-from labhil.report.verdicts import VERDICTS
+from labhil.report.text import diagnosis_text
 from labhil.signals import Batch, Direction, Signal, Stream
 from labhil.tui.result_text import result_renderable
 
@@ -196,8 +197,17 @@ def test_the_page_of_a_diagnosis_says_what_the_diagnosis_says(page, diagnosis):
 
 def on_screen(result: dict[str, Any]) -> str:
     """What the terminal UI writes of a diagnosis."""
+    return printed(result_renderable(checked(DiagnosisPart, result, "the diagnosis"), defaultdict(str)))
+
+
+def in_the_report(result: dict[str, Any]) -> str:
+    """What the commands print of a diagnosis."""
+    return printed(diagnosis_text(checked(DiagnosisPart, result, "the diagnosis")))
+
+
+def printed(what: RenderableType) -> str:
     console = Console(width=120, record=True, file=io.StringIO())
-    console.print(result_renderable(checked(DiagnosisPart, result, "the diagnosis"), defaultdict(str)))
+    console.print(what)
     return console.export_text()
 
 
@@ -226,12 +236,13 @@ def test_what_is_not_there_of_an_arm_stands_by_joint(page, diagnosis):
     assert places == sorted(places)
 
 
-def test_page_and_screen_say_which_sizes_gave_way_and_which_were_held(page, diagnosis):
+def test_page_screen_and_report_say_which_sizes_gave_way_and_which_were_held(page, diagnosis):
     size = Collapsed("acceleration_per_radian", 0.019, 7.007, "m/s²")
     diagnosis["collapsed"] = [{**asdict(size), "statement": size.statement}]
     held = stated([Parameter("inertia", "kg·m²", 1.0)], np.array([0.02]), np.array([0.0]))
     diagnosis["final"]["parameters"] += finite(_rows(held))
-    for text in (" ".join(on_screen(diagnosis).split()), page(diagnosis).text):
+    written = [" ".join(write(diagnosis).split()) for write in (on_screen, in_the_report)]
+    for text in (*written, page(diagnosis).text):
         assert "takes acceleration_per_radian to 0.019 m/s², against a nominal 7.007 m/s²" in text
         assert re.search(r"inertia.{0,80}held", text, re.DOTALL)
 

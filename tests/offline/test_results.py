@@ -98,9 +98,9 @@ def test_the_json_of_a_fit_is_the_contracts(fit, shipped):
 
 
 def test_r2_is_one_less_the_share_of_squares_that_is_left(fit, shipped):
+    from labhil.analysis.material import load_material
+    from labhil.analysis.study import fit_study
     from labhil.identify.fit import Options
-    from labhil.report.material import load_material
-    from labhil.report.study import fit_study
 
     material = load_material(shipped / "ball_beam_identify.mcap", test_path=shipped / "ball_beam_test.mcap")
     score = fit_study(material, terms=("viscous_friction",), options=Options(window=1.0)).fit.test

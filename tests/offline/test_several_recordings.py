@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labhil.report.html.schema import FitPart, checked
-from labhil.report.results import values_of
+from labhil.analysis.results import values_of
+from labhil.analysis.schema import FitPart, checked
 from labhil_benchmarks.statistics.cases import driven, levels
 
 RIG = '[rig]\nkind = "axis"\n[metric]\nhorizon = 1.0\n'

@@ -17,6 +17,7 @@ from mcap.writer import CompressionType, Writer
 from rich.table import Table as RichTable
 from rich.text import Text
 
+from labhil.analysis.import_check import checked
 from labhil.codec import Codec, stream_from_json, stream_to_json
 from labhil.errors import ProtocolError, RecordingError, TableError
 from labhil.physics.rigs import record_of
@@ -25,7 +26,6 @@ from labhil.recording.formats import apart
 from labhil.recording.recover import recover
 from labhil.recording.tables import import_table
 from labhil.report.html.report import report_page
-from labhil.report.import_check import checked
 from labhil.rig import Table, parse_rig
 from labhil.signals import Direction, Signal, Stream
 from labhil.terminal import printable, printable_json, printable_name, terminal

@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labhil.analysis.material import common_rig, rig_of
 from labhil.errors import RecordingError, RigFileError
 from labhil.physics.mapped import driven
 from labhil.physics.rigs import model_for
 from labhil.recording import RecordingWriter, import_table, read_recording, write_import
 from labhil.recording.recover import recover
 from labhil.recording.rig_attachments import rig_attachments
-from labhil.report.material import common_rig, rig_of
 from labhil.rig import load_rig, parse_rig
 from labhil.signals import Batch, Direction, Signal, Stream
 

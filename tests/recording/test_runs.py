@@ -8,12 +8,12 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
+from labhil.analysis.material import rig_of
 from labhil.codec import Codec
 from labhil.errors import RecordingError
 from labhil.recording import RecordingWriter, read_recording
 from labhil.recording.recover import recover
 from labhil.recording.runs import MixedRunsError, order_of
-from labhil.report.material import rig_of
 from labhil.signals import Batch
 
 sys.path.insert(0, str(Path(__file__).parent))

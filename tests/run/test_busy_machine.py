@@ -7,13 +7,13 @@ from subprocess import DEVNULL, Popen
 import numpy as np
 import pytest
 
+from labhil.analysis.material import load_material
+from labhil.analysis.study import fit_study
 from labhil.experiment.experiment import parse_experiment
 from labhil.experiment.run import run_experiment
 from labhil.recording.clock_faults import ClockFaultKind
 from labhil.recording.reader import read_recording
 from labhil.recording.stamps import HOST_CLOCK
-from labhil.report.material import load_material
-from labhil.report.study import fit_study
 
 TRUTH = {"viscous_friction.coefficient": 0.26, "coulomb_friction.level": 0.09}
 RIG = """

@@ -12,8 +12,8 @@ from labhil.experiment.controller import Controller
 from labhil.experiment.excitation import sample
 from labhil.experiment.experiment import Step, TimedStep, load_experiment, parse_experiment
 from labhil.experiment.plan import make_plan
-from labhil.experiment.toml import to_toml
 from labhil.signals import Direction, Signal, Stream
+from labhil.toml_text import to_toml
 
 TEXT = """
 [experiment]

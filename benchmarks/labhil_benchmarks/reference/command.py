@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from labhil.report.results import write_json
+from labhil.analysis.results import write_json
 from labhil.terminal import terminal
 from labhil.whole import whole
 from labhil_benchmarks.reference.page import page

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
 
+from labhil.analysis.results import finite
 from labhil.identify.linear import Figures
-from labhil.report.results import finite
 
 
 class Way(StrEnum):

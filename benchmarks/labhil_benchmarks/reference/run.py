@@ -15,8 +15,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from labhil.analysis.results import finite, write_json
 from labhil.errors import RunStoppedError, UsageError
-from labhil.report.results import finite, write_json
 from labhil_benchmarks.reference.findings import findings
 from labhil_benchmarks.reference.parts import FULL, PARTS, QUICK, Effort, Part, parts_of
 from labhil_benchmarks.reference.published import NUMBERS

@@ -9,8 +9,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from labhil.analysis.results import finite
 from labhil.cores import cores
-from labhil.report.results import finite
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from labhil.analysis.results import finite
 from labhil.errors import UnknownNameError, UsageError
-from labhil.report.results import finite
 from labhil.whole import whole
 from labhil_benchmarks.statistics.cases import CASES
 from labhil_benchmarks.statistics.kept import Job, Progress, each_once, numbers

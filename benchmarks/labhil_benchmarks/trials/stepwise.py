@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from scipy import special
 
+from labhil.analysis.material import Material
 from labhil.diagnose.diagnosis import data_of, fit_baseline
 from labhil.diagnose.judge import Data
 from labhil.diagnose.refit import refit
@@ -24,7 +25,6 @@ from labhil.identify.score import score, scored_horizon
 from labhil.identify.table import table_of
 from labhil.physics.rigs import rig_model
 from labhil.physics.terms import unkeyed
-from labhil.report.material import Material
 
 REFITTED = 8
 """How many of the candidates are refitted at each step."""

@@ -16,9 +16,9 @@ from labhil.physics.terms import keyed
 from labhil.signals import FloatArray
 
 if TYPE_CHECKING:
+    from labhil.analysis.study import DiagnosisResult, FitResult
     from labhil.identify.score import Score
     from labhil.physics.model import Record
-    from labhil.report.study import DiagnosisResult, FitResult
 
 MOST_POINTS = 20_000
 """Of a channel; more than any terminal has columns."""

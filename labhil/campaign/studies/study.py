@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -73,30 +73,30 @@ def do(task: Task) -> dict[str, Any]:
         return {"done": [str(_export(path)) for path in task.recordings]}
     if task.kind == "verify":
         return _verify(task)
-    from labhil.report.material import load_material
-
     progress(f"reading {first.name}")
-    material = load_material(task.recordings, None, task.tests or None, **_holdout(task))
-    for line in material.losses():
-        progress(line)
     if task.kind == "fit":
+        from labhil.api.fit import fit
         from labhil.campaign.studies.curves import curves_of_fit
-        from labhil.identify.fit import Options
-        from labhil.report.study import fit_study
-        from labhil.report.verdicts import verdict_line
 
-        fitted = fit_study(material, start=task.model, options=Options(progress=progress))
-        path = _write(first.parent, stem, "fit", fitted.json, curves_of_fit(fitted))
-        return {"done": str(path), "verdict": verdict_line(fitted.fit.adequacy)}
+        fitted = fit(task.recordings, **_given(task, "start"))
+        path = _write(first.parent, stem, "fit", fitted.to_dict(), curves_of_fit(fitted.study))
+        return {"done": str(path), "verdict": fitted.statement}
+    from labhil.api.diagnosis import diagnose
     from labhil.campaign.studies.curves import curves_of_diagnosis
-    from labhil.report.study import diagnose_study
 
-    found = diagnose_study(material, reference=task.model, progress=progress)
-    return {"done": str(_write(first.parent, stem, "diagnosis", found.json, curves_of_diagnosis(found)))}
+    found = diagnose(task.recordings, **_given(task, "reference"))
+    path = _write(first.parent, stem, "diagnosis", found.to_dict(), curves_of_diagnosis(found.study))
+    return {"done": str(path)}
 
 
-def _holdout(task: Task) -> dict[str, Any]:
-    return {"all_of_it": True} if task.kind == "fit" else {}
+def _given(task: Task, model: str) -> dict[str, Any]:
+    """What the task gives a fit or a diagnosis; ``model`` is the name of the model's argument."""
+    return {"test": task.tests or None, model: task.model, "progress": progress, "warn": _warn}
+
+
+def _warn(lines: Iterable[str]) -> None:
+    for line in lines:
+        progress(line)
 
 
 def _write(folder: Path, stem: str, kind: str, data: Any, curves: Mapping[str, Any]) -> Path:
@@ -130,15 +130,13 @@ def _export(path: Path) -> Path:
 
 
 def _verify(task: Task) -> dict[str, Any]:
-    from labhil.report.verification import show_verification, verify_study
-    from labhil.terminal import terminal
+    from labhil.api.verification import verify
 
     assert task.model is not None
-    result = verify_study(task.recordings[0], task.model, None, alpha=1e-3, progress=progress)
-    console = terminal(width=100, record=True, file=open(os.devnull, "w"))  # noqa: PTH123, SIM115
-    show_verification(result.verification, console)
-    text = "\n".join([*result.losses, console.export_text()])
-    return {"done": text, "consistent": result.verification.consistent}
+    losses: list[str] = []
+    result = verify(task.recordings[0], task.model, progress=progress, warn=losses.extend)
+    text = "\n".join([*losses, result.text(width=100)])
+    return {"done": text, "consistent": not result.contradicted}
 
 
 def main() -> int:

@@ -19,6 +19,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from labhil.analysis.material import load_material
+from labhil.analysis.study import diagnose_study
 from labhil.campaign.benchmarks import benchmark_module
 from labhil.campaign.trials.folder import (
     DIAGNOSE,
@@ -32,8 +34,6 @@ from labhil.campaign.trials.folder import (
 )
 from labhil.campaign.trials.seal import sha256_of
 from labhil.errors import UsageError
-from labhil.report.material import load_material
-from labhil.report.study import diagnose_study
 
 SCHEMA = "labhil.diagnosis/1"
 Progress = Callable[[str], None]

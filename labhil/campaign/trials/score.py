@@ -9,6 +9,7 @@ from functools import cached_property
 from itertools import repeat
 from pathlib import Path
 
+from labhil.analysis.material import load_material
 from labhil.campaign.trials.answer import Answer, TrueEffect
 from labhil.campaign.trials.card import Card, count
 from labhil.campaign.trials.folder import DIAGNOSE, Listed, Results, read_index, recording
@@ -18,7 +19,6 @@ from labhil.campaign.trials.regime import overlap
 from labhil.campaign.trials.said import Said, read_said
 from labhil.campaign.trials.seal import open_envelope, sha256_of
 from labhil.errors import UsageError
-from labhil.report.material import load_material
 
 Progress = Callable[[str], None]
 

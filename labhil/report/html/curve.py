@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
+from labhil.analysis.schema import EstimatedCurve
 from labhil.report.figure import AFTER, figure_of, finish
 from labhil.report.html.element import Markup
 from labhil.report.html.picture import Album, label
-from labhil.report.html.schema import CurvePart
 from labhil.signals import FloatArray
 
 
-def curve_picture(album: Album, curve: CurvePart | None) -> Markup | None:
+def curve_picture(album: Album, curve: EstimatedCurve | None) -> Markup | None:
     """The curve over its coordinate, or as coloured dots over two; None where there is nothing to draw."""
     if curve is None:
         return None
@@ -27,7 +27,7 @@ def curve_picture(album: Album, curve: CurvePart | None) -> Markup | None:
     return album.picture(caption, lambda: _draw_dots(curve, x, value))
 
 
-def _coordinates(curve: CurvePart) -> FloatArray:
+def _coordinates(curve: EstimatedCurve) -> FloatArray:
     """Coordinates, one row each (k, n), whichever way round they stand in the file; empty if ragged."""
     if len({len(row) for row in curve.x}) != 1:
         return np.empty((0, 0))
@@ -35,7 +35,7 @@ def _coordinates(curve: CurvePart) -> FloatArray:
     return x if len(x) == len(curve.depends_on) else x.T
 
 
-def _draw_curve(curve: CurvePart, x: FloatArray, value: FloatArray) -> Figure:
+def _draw_curve(curve: EstimatedCurve, x: FloatArray, value: FloatArray) -> Figure:
     figure = figure_of((10.0, 4.0))
     axes = figure.subplots()
     order = np.argsort(x)
@@ -48,7 +48,7 @@ def _draw_curve(curve: CurvePart, x: FloatArray, value: FloatArray) -> Figure:
     return figure
 
 
-def _draw_dots(curve: CurvePart, x: FloatArray, value: FloatArray) -> Figure:
+def _draw_dots(curve: EstimatedCurve, x: FloatArray, value: FloatArray) -> Figure:
     figure = figure_of((10.0, 5.0))
     axes = figure.subplots()
     dots = axes.scatter(x[0], x[1], c=value, s=14, cmap="coolwarm")

@@ -4,6 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from labhil.analysis.schema import (
+    ChannelImprovement,
+    DiagnosisPart,
+    Improvement,
+    Interval,
+    Location,
+    MissingEffect,
+    Rival,
+)
+from labhil.analysis.verdicts import VERDICTS
 from labhil.physics.terms import keyed
 from labhil.report.absent import OfJoints, joints_in, of_joints, silences
 from labhil.report.html.curve import curve_picture
@@ -21,17 +31,7 @@ from labhil.report.html.model import (
 from labhil.report.html.page import Page, Section, present, section
 from labhil.report.html.picture import Album
 from labhil.report.html.quantity import chance, interval, multiple, p_value, percent, quantity
-from labhil.report.html.schema import (
-    ChannelImprovement,
-    DiagnosisPart,
-    ImprovementPart,
-    Interval,
-    LocationPart,
-    MissingPart,
-    RivalPart,
-)
 from labhil.report.html.table import bullets, facts, numbers, table, text, tiles
-from labhil.report.verdicts import VERDICTS
 
 P_VALUES = {
     "bootstrap": "It was counted in a bootstrap",
@@ -97,11 +97,11 @@ def _figures(diagnosis: DiagnosisPart) -> Markup:
     return tiles(entries)
 
 
-def _over_floor(rmse: float | None, better: ImprovementPart) -> str:
+def _over_floor(rmse: float | None, better: Improvement) -> str:
     return f"{multiple(rmse, better.noise_floor)} the noise floor"
 
 
-def _judged(better: ImprovementPart) -> str:
+def _judged(better: Improvement) -> str:
     return "on the test recording" if better.data == "test" else "on held-out data"
 
 
@@ -112,7 +112,7 @@ def _p_remark(diagnosis: DiagnosisPart) -> list[Content]:
     return [method if diagnosis.p_value_method in P_VALUES else diagnosis.p_value_method]
 
 
-def _missing(item: MissingPart, rivals: Sequence[RivalPart]) -> Markup:
+def _missing(item: MissingEffect, rivals: Sequence[Rival]) -> Markup:
     evidence = item.evidence
     told = facts(
         (
@@ -139,7 +139,7 @@ def _missing(item: MissingPart, rivals: Sequence[RivalPart]) -> Markup:
     )
 
 
-def _or_rather(rivals: Sequence[RivalPart]) -> Markup | None:
+def _or_rather(rivals: Sequence[Rival]) -> Markup | None:
     if not rivals:
         return None
     others = ", ".join(f"{keyed(r.term, r.joint)} ({chance(r.probability)})" for r in rivals)
@@ -163,7 +163,7 @@ def _changed(diagnosis: DiagnosisPart) -> Section | None:
     return section("Parameters that have changed", table("Against the reference model", columns, rows))
 
 
-def _location(where: LocationPart | None) -> Section | None:
+def _location(where: Location | None) -> Section | None:
     if where is None:
         return None
     times = ", ".join(_time(span, where.times_in[i : i + 1]) for i, span in enumerate(where.times))
@@ -194,7 +194,7 @@ def _time(span: Interval, recording: Sequence[int]) -> str:
     return interval(span, "s") + "".join(f" of @{number}" for number in recording)
 
 
-def _improvement(better: ImprovementPart | None, pictures: Sequence[Markup]) -> Section | None:
+def _improvement(better: Improvement | None, pictures: Sequence[Markup]) -> Section | None:
     if better is None:
         return section("How much better the model predicts", *pictures)
     columns = (
@@ -215,7 +215,7 @@ def _improvement(better: ImprovementPart | None, pictures: Sequence[Markup]) -> 
     )
 
 
-def _scored(better: ImprovementPart) -> str:
+def _scored(better: Improvement) -> str:
     many = len(better.per_recording) > 1 and not better.parts
     if better.data == "test":
         data = "the test recordings" if many else "the test recording"
@@ -251,7 +251,7 @@ def _final(diagnosis: DiagnosisPart, album: Album) -> Section | None:
     )
 
 
-def _rivals(rivals: Sequence[RivalPart]) -> Section | None:
+def _rivals(rivals: Sequence[Rival]) -> Section | None:
     if not rivals:
         return None
     columns = (

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from labhil.analysis.schema import ChannelErrors, FitPart, Identifiability, Parameter, Score
 from labhil.report.figure import AFTER, MEASURED, figure_of, finish
 from labhil.report.html.element import Content, Markup, tag
 from labhil.report.html.model import (
@@ -21,7 +22,6 @@ from labhil.report.html.model import (
 from labhil.report.html.page import Page, Section, present, section
 from labhil.report.html.picture import Album, label
 from labhil.report.html.quantity import count, multiple, p_value, percent, quantity, squared
-from labhil.report.html.schema import ChannelErrors, FitPart, IdentifiabilityPart, ParameterRow, ScorePart
 from labhil.report.html.table import bullets, facts, numbers, table, text, tiles
 from labhil.signals import FloatArray
 
@@ -53,7 +53,7 @@ def fit_page(fit: FitPart, foot: str, album: Album, pictures: Sequence[Markup] =
     )
 
 
-def _judge(fit: FitPart) -> tuple[ScorePart, str]:
+def _judge(fit: FitPart) -> tuple[Score, str]:
     return (
         (fit.train, "the data it was fitted to") if fit.test is None else (fit.test, "data it has not seen")
     )
@@ -107,7 +107,7 @@ def _parameters(fit: FitPart, album: Album) -> Section | None:
     )
 
 
-def _identifiability(known: IdentifiabilityPart) -> Section | None:
+def _identifiability(known: Identifiability) -> Section | None:
     lines: list[Content] = []
     if known.combinations:
         lines.append(tag("p", "Where single values are not known, these combinations are:"))
@@ -134,7 +134,7 @@ def _scores(fit: FitPart, pictures: Sequence[Markup]) -> Section | None:
     return section("How well it predicts", table(caption, columns, rows), *pictures)
 
 
-def _channels(data: str, score: ScorePart) -> list[list[Content]]:
+def _channels(data: str, score: Score) -> list[list[Content]]:
     """All channels, then those of each recording."""
     rows = [_channel(data, channel, score) for channel in score.per_channel]
     for own in score.per_recording:
@@ -142,7 +142,7 @@ def _channels(data: str, score: ScorePart) -> list[list[Content]]:
     return rows
 
 
-def _channel(data: str, channel: ChannelErrors, score: ScorePart) -> list[Content]:
+def _channel(data: str, channel: ChannelErrors, score: Score) -> list[Content]:
     return [
         data,
         channel_named(channel, score.metric),
@@ -229,9 +229,7 @@ def _correlations(fit: FitPart, album: Album) -> Section | None:
     )
 
 
-def _draw_correlations(
-    covariance: tuple[tuple[float | None, ...], ...], rows: Sequence[ParameterRow]
-) -> Figure:
+def _draw_correlations(covariance: tuple[tuple[float | None, ...], ...], rows: Sequence[Parameter]) -> Figure:
     matrix = np.array(covariance, dtype=np.float64)
     spread = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     scale = np.outer(spread, spread)

@@ -4,22 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-
+from labhil.analysis.schema import ChannelErrors, ChannelImprovement, Parameter, Source
 from labhil.physics.terms import keyed, listed
-from labhil.report.figure import AFTER, figure_of, finish
 from labhil.report.html.element import Content, Markup, joined, tag
-from labhil.report.html.picture import Album, label
-from labhil.report.html.quantity import NOTHING, count, interval, p_value, percent, quantity
-from labhil.report.html.schema import ChannelErrors, ChannelImprovement, ParameterRow, Source
+from labhil.report.html.picture import Album
+from labhil.report.html.quantity import NOTHING, count, percent, quantity
 from labhil.report.html.table import numbers, table, text
-
-WIDEST = 120.0
-"""Intervals beyond that many per cent of their value are drawn with an arrow."""
-
-UNSURE = "#8a8f96"
+from labhil.report.intervals_plot import drawable, intervals_figure
+from labhil.report.parameter_columns import COLUMNS
 
 
 def recordings_table(sources: Sequence[Source]) -> Markup:
@@ -38,31 +30,20 @@ def recordings_table(sources: Sequence[Source]) -> Markup:
     return table("Recordings that this result comes from", columns, rows)
 
 
-def parameters_table(rows: Sequence[ParameterRow], caption: str, *, reference: bool = False) -> Markup | None:
+def parameters_table(rows: Sequence[Parameter], caption: str, *, reference: bool = False) -> Markup | None:
     """Values with errors and intervals; with ``reference``, the reference text's own error beside ours."""
     if not rows:
         return None
-    errors = ("Std. error", "Reference's error") if reference else ("Std. error",)
-    columns = (*text("Parameter"), *numbers("Value", *errors, "99 % interval", "z", "p"), *text("Remark"))
-    return table(caption, columns, [_parameter(row, reference) for row in rows])
-
-
-def _parameter(row: ParameterRow, reference: bool) -> list[Content]:
-    errors = [quantity(row.std_error, digits=2)]
-    if reference:
-        errors.append(quantity(row.std_error_reference, digits=2))
-    return [
-        named(row.name, row.joint, row.recording),
-        quantity(row.value, row.unit),
-        *errors,
-        interval(row.ci99),
-        quantity(row.z, digits=3),
-        p_value(row.p_value),
-        remark(row),
+    shown = [each.page for each in COLUMNS if each.page is not None and (reference or not each.reference)]
+    columns = (*text("Parameter"), *numbers(*(title for title, _ in shown)), *text("Remark"))
+    cells: list[Sequence[Content]] = [
+        (named(row.name, row.joint, row.recording), *(cell(row) for _, cell in shown), remark(row))
+        for row in rows
     ]
+    return table(caption, columns, cells)
 
 
-def remark(row: ParameterRow) -> str:
+def remark(row: Parameter) -> str:
     """What has to be known of an estimate beside its numbers."""
     if row.held:
         return "held"
@@ -74,58 +55,15 @@ def remark(row: ParameterRow) -> str:
     return ", ".join(found) or NOTHING
 
 
-def intervals_picture(album: Album, rows: Sequence[ParameterRow]) -> Markup | None:
+def intervals_picture(album: Album, rows: Sequence[Parameter]) -> Markup | None:
     """Every parameter with its 99 % interval, in per cent of its value."""
-    drawn = [row for row in rows if row.value and row.ci99 and None not in row.ci99]
-    if not drawn:
+    if not drawable(rows):
         return None
     caption = (
         "99 % intervals in per cent of the estimate. Grey: not significantly different from zero, "
         "or not identifiable. An arrow: the interval goes on."
     )
-    return album.picture(caption, lambda: _draw_intervals(drawn))
-
-
-def _draw_intervals(rows: Sequence[ParameterRow]) -> Figure:
-    figure = figure_of((10.0, 0.9 + 0.3 * len(rows)))
-    axes = figure.subplots()
-    spans = np.array([_relative(row) for row in rows])
-    limit = min(WIDEST, 1.15 * float(np.abs(spans).max()) or 1.0)
-    for place, (row, (low, high)) in enumerate(zip(rows, spans.tolist(), strict=True)):
-        _draw_interval(axes, place, (low, high), limit, UNSURE if _unsure(row) else AFTER)
-    axes.axvline(0.0, color="k", lw=0.6)
-    axes.set_xlim(-1.08 * limit, 1.08 * limit)
-    axes.set_ylim(len(rows) - 0.4, -0.6)
-    axes.set_yticks(range(len(rows)), [label(_labelled(row)) for row in rows])
-    finish(axes, "", "99 % interval − estimate, % of the estimate", "")
-    axes.grid(visible=False, axis="y")
-    return figure
-
-
-def _draw_interval(axes: Axes, place: int, span: tuple[float, float], limit: float, colour: str) -> None:
-    low, high = max(span[0], -limit), min(span[1], limit)
-    axes.plot([low, high], [place, place], color=colour, lw=3.0, solid_capstyle="butt")
-    axes.plot([0.0], [place], "o", color=colour, ms=5.5)
-    if span[0] < -limit:
-        axes.plot([low], [place], "<", color=colour, ms=7)
-    if span[1] > limit:
-        axes.plot([high], [place], ">", color=colour, ms=7)
-
-
-def _relative(row: ParameterRow) -> tuple[float, float]:
-    """Ends of the interval less the value, in per cent of the value."""
-    value = row.value or 1.0
-    low, high = row.ci99 or (None, None)
-    ends = [100.0 * ((value if end is None else end) - value) / abs(value) for end in (low, high)]
-    return ends[0], ends[1]
-
-
-def _unsure(row: ParameterRow) -> bool:
-    return not row.identifiable or row.significant is False
-
-
-def _labelled(row: ParameterRow) -> str:
-    return f"{row.key} = {quantity(row.value, row.unit)}"
+    return album.picture(caption, lambda: intervals_figure(rows))
 
 
 def named(name: str, joint: int | None = None, recording: int | None = None) -> Markup:

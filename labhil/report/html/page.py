@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
-from labhil import __version__
 from labhil.report.html.element import Content, Markup, joined, tag
+from labhil.version import __version__
 from labhil.whole import whole
 
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"

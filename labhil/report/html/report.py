@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
+from labhil.analysis.schema import DiagnosisPart, VerificationPart, any_result_of, json_of
 from labhil.errors import ModelFileError, RecordingError, UsageError
 from labhil.recording.chunks import is_mcap
 from labhil.recording.reader import read_recording
@@ -13,7 +14,7 @@ from labhil.report.html.fit import fit_page
 from labhil.report.html.page import Page
 from labhil.report.html.picture import Album
 from labhil.report.html.recording import recording_page
-from labhil.report.html.schema import DiagnosisPart, json_of, result_of
+from labhil.report.html.verification import verification_page
 
 
 def report_page(path: Path, run: int | None = None) -> Page:
@@ -30,7 +31,9 @@ def report_page(path: Path, run: int | None = None) -> Page:
         return recording_page(recording, f"Made from {path}.", Album())
     if run is not None:
         raise UsageError(f"--run {run}: expected a recording, found {path}")
-    result = result_of(json_of(data, str(path)), str(path))
+    result = any_result_of(json_of(data, str(path)), str(path))
+    if isinstance(result, VerificationPart):
+        return verification_page(result, foot)
     if isinstance(result, DiagnosisPart):
         return diagnosis_page(result, foot, Album())
     return fit_page(result, foot, Album())

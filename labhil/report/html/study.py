@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from labhil.analysis.schema import DiagnosisPart, FitPart, VerificationPart
+from labhil.analysis.study import DiagnosisResult, FitResult
 from labhil.physics.terms import keyed
 from labhil.report.fit_plot import fit_figure
 from labhil.report.html.diagnosis import diagnosis_page
@@ -11,9 +13,7 @@ from labhil.report.html.element import Markup
 from labhil.report.html.fit import fit_page
 from labhil.report.html.page import write_page
 from labhil.report.html.picture import Album
-from labhil.report.html.schema import DiagnosisPart, FitPart, checked
 from labhil.report.plots import channel_figure, diagnosis_figure, located
-from labhil.report.study import DiagnosisResult, FitResult
 
 
 def write_fit_page(result: FitResult, path: Path) -> None:
@@ -24,8 +24,8 @@ def write_fit_page(result: FitResult, path: Path) -> None:
         "the errors are distributed, and how the fitted residuals are correlated in time."
     )
     drawn = album.picture(caption, lambda: fit_figure(result.fit, result.material.judge, columns=2))
-    fit = checked(FitPart, result.json, "the fit")
-    write_page(fit_page(fit, _foot(fit), album, (drawn,)), path)
+    fit = result.part
+    write_page(fit_page(fit, foot_of(fit), album, (drawn,)), path)
 
 
 def write_diagnosis_page(result: DiagnosisResult, path: Path) -> None:
@@ -39,8 +39,8 @@ def write_diagnosis_page(result: DiagnosisResult, path: Path) -> None:
     drawn = [album.picture(caption, lambda: diagnosis_figure(found))]
     others = [j for j in range(len(found.after.channels)) if j != located(found)]
     drawn += [_channel_picture(album, result, j) for j in others]
-    diagnosis = checked(DiagnosisPart, result.json, "the diagnosis")
-    write_page(diagnosis_page(diagnosis, _foot(diagnosis), album, drawn), path)
+    diagnosis = result.part
+    write_page(diagnosis_page(diagnosis, foot_of(diagnosis), album, drawn), path)
 
 
 def _channel_picture(album: Album, result: DiagnosisResult, j: int) -> Markup:
@@ -50,5 +50,6 @@ def _channel_picture(album: Album, result: DiagnosisResult, j: int) -> Markup:
     return album.picture(caption, lambda: channel_figure(result.diagnosis, j))
 
 
-def _foot(result: FitPart | DiagnosisPart) -> str:
+def foot_of(result: FitPart | DiagnosisPart | VerificationPart) -> str:
+    """Where a page comes from."""
     return f"Made from {', '.join(source.path for source in result.recordings)}."

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from labhil.analysis.results import Reference, SavedModel
 from labhil.documents import parse_json
 from labhil.errors import ModelFileError
 from labhil.identify.extended import Coordinate
@@ -20,7 +20,7 @@ EVEN = 1e-6
 """Share of the range by which the places of a curve may miss even spacing."""
 
 
-def under_kept_curve(model: Model, path: Path | None) -> Model:
+def under_kept_curve(model: Model, path: Reference | None) -> Model:
     """The model under the curves that a fit or diagnosis file has, or as it is where that has none.
 
     Raises ModelFileError where one of the file's curves is none that this model takes.
@@ -33,7 +33,7 @@ def under_kept_curve(model: Model, path: Path | None) -> Model:
     return ModelUnderCurves(model, [_curve(path, each, model) for each in stated])
 
 
-def curve_note(path: Path | None) -> list[str]:
+def curve_note(path: Reference | None) -> list[str]:
     """What to tell a person of the curves that a model file brings along; nothing where it has none."""
     return [
         f"The model is under the force{_on_joint(stated)} that {path} has as a curve over "
@@ -65,10 +65,10 @@ def _stating(curve: KeptCurve) -> dict[str, Any]:
     }
 
 
-def _stated(path: Path) -> list[Mapping[str, Any]]:
+def _stated(path: Reference) -> list[Mapping[str, Any]]:
     """The fields ``curve`` and ``further_curves`` of a file that was found to be a model's elsewhere."""
     try:
-        whole = parse_json(path.read_text(encoding="utf-8"))
+        whole = path.data if isinstance(path, SavedModel) else parse_json(path.read_text(encoding="utf-8"))
         stated = [whole.get("curve"), *(whole.get("further_curves") or ())]
     except (OSError, ValueError, AttributeError, TypeError):
         return []
@@ -77,7 +77,7 @@ def _stated(path: Path) -> list[Mapping[str, Any]]:
     return [each for each in stated if each is not None]
 
 
-def _curve(path: Path, stated: Mapping[str, Any], model: Yielding) -> KeptCurve:
+def _curve(path: Reference, stated: Mapping[str, Any], model: Yielding) -> KeptCurve:
     try:
         name, acts = str(stated["depends_on"][0]), Over[str(stated["acts"]).upper()]
         x, value = _numbers(stated["x"][0]), _numbers(stated["value"])
@@ -100,7 +100,7 @@ def _curve(path: Path, stated: Mapping[str, Any], model: Yielding) -> KeptCurve:
     return KeptCurve(coordinate, x, value, low, high, str(stated.get("unit", "")), stated.get("formula"))
 
 
-def _part(path: Path, stated: Mapping[str, Any], model: Yielding) -> MovedPart:
+def _part(path: Reference, stated: Mapping[str, Any], model: Yielding) -> MovedPart:
     """What the curve acts on, by the ``joint`` of an arm; of anything else there is one part."""
     joint = stated.get("joint")
     for part in model.moved:

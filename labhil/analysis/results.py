@@ -42,6 +42,21 @@ class Source:
     recording: int | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class SavedModel:
+    """The JSON data of a fit or diagnosis that stands for a model; ``name`` is what messages call it."""
+
+    name: str
+    data: Mapping[str, Any]
+
+    def __str__(self) -> str:
+        return self.name
+
+
+Reference = Path | SavedModel
+"""A fit or diagnosis that stands for a model: its file, or its data."""
+
+
 OF_SEVERAL = ("recording", "times_in", "per_recording")
 """Fields that only results of several recordings have."""
 
@@ -69,7 +84,7 @@ def fit_json(
             "verdict": fit.adequacy.verdict.value,
             "residual_over_noise": dict(fit.adequacy.residual_over_noise),
             "terms": list(fit.terms),
-            "parameters": [asdict(row) for row in fit.estimates],
+            "parameters": _rows(fit.estimates),
             "covariance": fit.covariance.tolist(),
             "identifiability": asdict(fit.identifiability),
             "train": score_json(fit.train),
@@ -83,6 +98,8 @@ def fit_json(
             "left": [asdict(channel) for channel in fit.left],
             "window": fit.window,
             "by_window": [asdict(rung) for rung in fit.by_window],
+            "compared": list(fit.compared),
+            "sampling": list(fit.sampling),
             "converged": fit.converged,
             "complete": fit.complete,
             "evaluations": fit.evaluations,
@@ -206,8 +223,15 @@ def _before_and_after(before: Figures, after: Figures) -> dict[str, Any]:
                 "rmse_before": b.rmse,
                 "rmse_after": a.rmse,
                 "noise_floor": a.noise_floor,
+                "noise_floor_before": b.noise_floor,
                 "r2_before": b.r2,
                 "r2_after": a.r2,
+                "mse_before": b.mse,
+                "mse_after": a.mse,
+                "max_abs_error_before": b.max_abs_error,
+                "max_abs_error_after": a.max_abs_error,
+                "relative_error_before": b.relative_error,
+                "relative_error_after": a.relative_error,
                 "metric": a.metric.value,
             }
             for b, a in zip(before.rows_told, after.rows_told, strict=False)
@@ -242,7 +266,7 @@ def write_json(data: Any, path: Path) -> None:
         draft.write_text(text + "\n", encoding="utf-8")
 
 
-def values_of(path: Path) -> dict[str, float]:
+def values_of(path: Reference) -> dict[str, float]:
     """Parameter values of a fit or diagnosis file, to start from or to compare with.
 
     Raises ModelFileError when the file is neither.
@@ -264,7 +288,7 @@ def _key(row: Mapping[str, Any]) -> str:
     return keyed(row["name"], row.get("joint"), row.get("recording"))
 
 
-def terms_of(path: Path) -> tuple[str, ...]:
+def terms_of(path: Reference) -> tuple[str, ...]:
     """Names of the terms of a fit or diagnosis file; ModelFileError when it is neither."""
     terms = _model_in(path)["terms"]
     if not all(isinstance(name, str) for name in terms):
@@ -272,7 +296,7 @@ def terms_of(path: Path) -> tuple[str, ...]:
     return tuple(terms)
 
 
-def accepted_of(path: Path) -> Accepted:
+def accepted_of(path: Reference) -> Accepted:
     """A fit or diagnosis file as an accepted model, with the covariance of its values where it has one.
 
     Where a file has standard errors only, nothing is known of their correlations: k times their squares
@@ -296,7 +320,7 @@ def accepted_of(path: Path) -> Accepted:
     )
 
 
-def _covariance(path: Path, rows: Any, k: int) -> FloatArray | None:
+def _covariance(path: Reference, rows: Any, k: int) -> FloatArray | None:
     """The matrix (k, k), null as an unknown (infinite) variance; None where there is none."""
     if rows is None:
         return None
@@ -322,13 +346,13 @@ def _from_errors(rows: Sequence[Mapping[str, Any]]) -> FloatArray | None:
     return np.diag(len(known) * np.square(known))
 
 
-def _object(path: Path, name: str, value: Any) -> Mapping[str, Any]:
+def _object(path: Reference, name: str, value: Any) -> Mapping[str, Any]:
     if value is not None and not isinstance(value, dict):
         raise ModelFileError(f"{path}: {name}: expected an object, found {value!r}")
     return value or {}
 
 
-def _ratios(path: Path, train: Mapping[str, Any]) -> dict[str, float]:
+def _ratios(path: Reference, train: Mapping[str, Any]) -> dict[str, float]:
     """RMSE over noise floor of each channel of a file's ``train``."""
     found = {}
     for each in train.get("per_channel") or []:
@@ -340,14 +364,14 @@ def _ratios(path: Path, train: Mapping[str, Any]) -> dict[str, float]:
     return found
 
 
-def _shortest(path: Path, rungs: Any) -> float | None:
+def _shortest(path: Reference, rungs: Any) -> float | None:
     """Residuals over noise on the shortest of a file's fitted windows."""
     if not isinstance(rungs, list) or not rungs or not isinstance(rungs[0], dict):
         return None
     return _number(path, "by_window.residual", rungs[0].get("residual"))
 
 
-def _number(path: Path, name: str, value: Any) -> float | None:
+def _number(path: Reference, name: str, value: Any) -> float | None:
     if value is None:
         return None
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
@@ -355,10 +379,10 @@ def _number(path: Path, name: str, value: Any) -> float | None:
     return float(value)
 
 
-def _model_in(path: Path) -> Mapping[str, Any]:
+def _model_in(path: Reference) -> Mapping[str, Any]:
     """The part of a result that holds ``terms`` and ``parameters``."""
     try:
-        data = parse_json(path.read_text(encoding="utf-8"))
+        data = path.data if isinstance(path, SavedModel) else parse_json(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise ModelFileError(f"{path}: cannot be read as a model (JSON of `labhil fit`): {error}") from error
     schema = data.get("schema") if isinstance(data, dict) else None

@@ -5,53 +5,59 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import Any
 
+from labhil.analysis.kept_curve import curve_note, curves_json, under_kept_curve
+from labhil.analysis.material import Material
+from labhil.analysis.results import Reference, accepted_of, diagnosis_json, fit_json, terms_of, values_of
+from labhil.analysis.schema import DiagnosisPart, FitPart, checked
+from labhil.analysis.still import refuse_still
 from labhil.diagnose.answer import Diagnosis
 from labhil.diagnose.diagnosis import SEARCH, diagnose
-from labhil.diagnose.fault import Fault
-from labhil.errors import UnknownNameError, UsageError
+from labhil.errors import OptionError, UnknownNameError, UsageError
 from labhil.identify.fit import Fit, Options, fit
 from labhil.identify.further_channels import with_help
 from labhil.identify.windows import FEWEST_IN_WINDOW
 from labhil.physics.model import Model, index_of, terms_named
 from labhil.physics.rigs import rig_model
 from labhil.physics.several import for_every_recording
-from labhil.report.kept_curve import curves_json, under_kept_curve
-from labhil.report.material import Material
-from labhil.report.results import accepted_of, diagnosis_json, fit_json, terms_of, values_of
-from labhil.report.still import refuse_still
 
 Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
 class FitResult:
-    """A fit with its JSON; ``doubts`` say what is implausible in the data, ``faults`` what is wrong."""
+    """A fit with its JSON."""
 
     fit: Fit
     material: Material
     json: Any
-    doubts: Sequence[str] = ()
-    faults: Sequence[Fault] = ()
+
+    @property
+    def part(self) -> FitPart:
+        """What the JSON says, as it is printed and drawn."""
+        return checked(FitPart, self.json, "the fit")
 
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisResult:
-    """A diagnosis with its JSON; ``doubts`` say what is implausible in the data."""
+    """A diagnosis with its JSON."""
 
     diagnosis: Diagnosis
     material: Material
     json: Any
-    doubts: Sequence[str] = ()
+
+    @property
+    def part(self) -> DiagnosisPart:
+        """What the JSON says, as it is printed and drawn."""
+        return checked(DiagnosisPart, self.json, "the diagnosis")
 
 
 def fit_study(
     material: Material,
     *,
     terms: Sequence[str] | None = None,
-    start: Path | None = None,
+    start: Reference | None = None,
     options: Options | None = None,
 ) -> FitResult:
     """Fit a model; ``start`` is a fit or diagnosis file to begin at, whose curve, if any, is kept.
@@ -63,12 +69,17 @@ def fit_study(
     shortest = FEWEST_IN_WINDOW * material.learn.period
     how = options or Options()
     if how.window is not None and not 0.99 * shortest <= how.window < float("inf"):
-        raise UsageError(
-            f"--window: expected at least {shortest:.3g} s ({FEWEST_IN_WINDOW} samples), found {how.window:g}"
+        raise OptionError(
+            "window",
+            f": expected at least {shortest:.3g} s ({FEWEST_IN_WINDOW} samples), found {how.window:g}",
         )
     model = under_kept_curve(material.model, start)
-    chosen = terms or (terms_of(start) if start is not None else rig_model(model.kind).general)
+    chosen = terms
+    if chosen is None:
+        chosen = terms_of(start) if start is not None else rig_model(model.kind).general
     chosen = _with_own(model, chosen, stated=bool(terms))
+    if not chosen and all(parameter.term is not None for parameter in model.parameters):
+        raise OptionError("terms", f": expected one at least, since all else of this {model.kind} is known")
     began = time.perf_counter()
     begin = for_every_recording(model, values_of(start)) if start is not None else None
     test = material.judge if material.held_out else None
@@ -80,11 +91,11 @@ def fit_study(
     seconds = time.perf_counter() - began
     sources = material.sources("train")
     data = fit_json(result, sources, model.kind, how.estimator, how.seed, seconds, curves_json(model))
-    faults = material.faults()
-    data["faults"] = [asdict(fault) for fault in faults]
-    doubts = material.doubts(misfit=not result.adequacy.explained)
-    data |= {"doubts": doubts, "untimed": material.untimed()}
-    return FitResult(result, material, data, doubts, faults)
+    data["faults"] = [asdict(fault) for fault in material.faults()]
+    data["doubts"] = material.doubts(misfit=not result.adequacy.explained)
+    data["notes"] = [*material.notes(), *curve_note(start)]
+    data["untimed"] = material.untimed()
+    return FitResult(result, material, data)
 
 
 def _with_own(model: Model, terms: Sequence[str], *, stated: bool) -> tuple[str, ...]:
@@ -97,8 +108,8 @@ def _with_own(model: Model, terms: Sequence[str], *, stated: bool) -> tuple[str,
     own = dict.fromkeys(p.term for p in model.parameters if p.recording is not None and p.term is not None)
     further = [term for term in own if term not in present]
     if further and stated:
-        raise UsageError(
-            f"--per-recording {further[0]}: the fitted terms are {', '.join(terms)}; add it to --terms"
+        raise OptionError(
+            "per-recording", f" {further[0]}: the fitted terms are {', '.join(terms)}; add it to --terms"
         )
     return (*terms, *further)
 
@@ -107,7 +118,7 @@ def diagnose_study(
     material: Material,
     *,
     baseline: Sequence[str] | None = None,
-    reference: Path | None = None,
+    reference: Reference | None = None,
     progress: Progress = lambda text: None,
     method: str = SEARCH,
 ) -> DiagnosisResult:
@@ -117,7 +128,9 @@ def diagnose_study(
     """
     model = under_kept_curve(material.model, reference)
     values = _reference_values(material, reference)
-    chosen = baseline or (terms_of(reference) if reference is not None else rig_model(model.kind).baseline)
+    chosen = baseline
+    if chosen is None:
+        chosen = terms_of(reference) if reference is not None else rig_model(model.kind).baseline
     terms_named(model, chosen)
     with material.naming():
         diagnosis = diagnose(
@@ -132,13 +145,14 @@ def diagnose_study(
             progress=progress,
             method=method,
         )
-    doubts = material.doubts(misfit=diagnosis.verdict != "no_mismatch")
     data = diagnosis_json(diagnosis, material.sources("search"))
-    data |= {"doubts": doubts, "untimed": material.untimed()}
-    return DiagnosisResult(diagnosis, material, data, doubts)
+    data["doubts"] = material.doubts(misfit=diagnosis.verdict != "no_mismatch")
+    data["notes"] = [*material.notes(), *curve_note(reference)]
+    data["untimed"] = material.untimed()
+    return DiagnosisResult(diagnosis, material, data)
 
 
-def _reference_values(material: Material, reference: Path | None) -> Mapping[str, float] | None:
+def _reference_values(material: Material, reference: Reference | None) -> Mapping[str, float] | None:
     if reference is not None:
         return for_every_recording(material.model, values_of(reference))
     known = index_of(material.model.parameters)

@@ -11,10 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
+from labhil.analysis.results import Source
+from labhil.analysis.still import constant
 from labhil.diagnose.fault import Fault
 from labhil.diagnose.intake import with_censored
 from labhil.diagnose.timing import all_faults, why_untimed
-from labhil.errors import RecordingError, UsageError
+from labhil.errors import OptionError, RecordingError
 from labhil.identify.plausibility import doubts_of
 from labhil.identify.windows import FEWEST_SAMPLES, split, with_least_noise
 from labhil.physics.arm import ArmModel
@@ -25,8 +27,6 @@ from labhil.physics.several import several
 from labhil.physics.solenoid import SolenoidModel
 from labhil.recording.reader import Recording, read_recordings
 from labhil.recording.rig_attachments import rig_name
-from labhil.report.results import Source
-from labhil.report.still import constant
 from labhil.rig import RigFile, load_rig
 
 HOLDOUT = 0.3
@@ -99,15 +99,6 @@ class Material:
         found = doubts_of(self.measured, self.rig, misfit=misfit, time_column=time)
         return [doubt.statement for doubt in found]
 
-    def numbered(self) -> list[str]:
-        """What the numbers of several recordings stand for, a line each; nothing of one."""
-        return [
-            f"@{source.recording}  {source.path}, {source.duration:.4g} s"
-            + (" (test)" if source.role == "test" else "")
-            for source in self.sources("")
-            if source.recording is not None
-        ]
-
     def losses(self) -> list[str]:
         """Which device was chosen where nobody said so, and what the recordings lack, a line each."""
         recordings = [recording for recording, _, _ in self.recordings]
@@ -123,10 +114,14 @@ class Material:
             refuse_holes(recording.path, record)
 
 
+Taken = Path | Recording
+"""A recording to work on: its file, or what was read of it."""
+
+
 def load_material(
-    path: Path | Sequence[Path],
-    rig_path: Path | None = None,
-    test_path: Path | Sequence[Path] | None = None,
+    path: Taken | Sequence[Taken],
+    rig_file: Path | RigFile | None = None,
+    test_path: Taken | Sequence[Taken] | None = None,
     holdout: float = HOLDOUT,
     per_recording: Sequence[str] = (),
     *,
@@ -139,20 +134,21 @@ def load_material(
 
     Without ``test_path`` the last ``holdout`` of each recording is held out, after a gap of one scored
     horizon; nothing is where ``holdout`` is 0 and ``all_of_it`` allows that. The rig file is the given one,
-    or the one that the recordings carry. Of recordings of several devices ``device`` chooses one, of several
-    runs in one file ``run``. What ``per_recording`` names has a value in each of several recordings. Raises
-    UsageError (RecordingError, RigFileError) with what is missing.
+    or the one that the recordings carry. What was read already is taken as it is. Of recordings of several
+    devices ``device`` chooses one, of several runs in one file ``run``. What ``per_recording`` names has a
+    value in each of several recordings. Raises UsageError (RecordingError, RigFileError) with what is
+    missing.
     """
     if not (0.05 <= holdout <= 0.9 or (all_of_it and holdout == 0.0)):
         nothing = ", or 0 to hold nothing out" if all_of_it else ""
-        raise UsageError(f"--holdout: expected a share from 0.05 to 0.9{nothing}, found {holdout:g}")
+        raise OptionError("holdout", f": expected a share from 0.05 to 0.9{nothing}, found {holdout:g}")
     paths, test_paths = _paths(path), _paths(test_path)
     _refuse_counts(paths, test_paths, per_recording)
-    everything = [each.of_device(device) for each in read_recordings((*paths, *test_paths), run)]
+    everything = [each.of_device(device) for each in read_all((*paths, *test_paths), run)]
     found, tested = everything[: len(paths)], everything[len(paths) :]
     _refuse_twice(found)
-    rig = common_rig(found, rig_path)
-    records, measured = _measured(found, rig, span)
+    rig = common_rig(found, rig_file)
+    records, measured = measured_of(found, rig, span)
     model = model_for(rig, measured, per_recording)
     learning = tuple((recording, record, "") for recording, record in zip(found, records, strict=True))
     if not test_paths and holdout == 0.0:
@@ -164,7 +160,7 @@ def load_material(
             learn, judge = _held_out(model, measured, found, holdout)
             _refuse_horizon(rig, judge)
         return Material(rig, model, learn, judge, False, measured, learning)
-    tests, test = _measured(tested, rig, like=measured, of=found[0])
+    tests, test = measured_of(tested, rig, like=measured, of=found[0])
     if len(tests) > 1 and len(records) == 1:
         model = several(model, (), 1)
     judging = tuple((recording, record, "test") for recording, record in zip(tested, tests, strict=True))
@@ -220,7 +216,7 @@ def refuse_holes(path: Path, record: Record) -> None:
             )
 
 
-def _measured(
+def measured_of(
     recordings: Sequence[Recording],
     rig: RigFile,
     span: tuple[float, float] | None = None,
@@ -258,10 +254,11 @@ def _within(record: Record, span: tuple[float, float] | None, recording: Recordi
         return record
     first, last = np.searchsorted(record.t, span[0]), np.searchsorted(record.t, span[1], side="right")
     if last - first < FEWEST_SAMPLES:
-        raise UsageError(
-            f"--span {span[0]:g} {span[1]:g}: expected at least {FEWEST_SAMPLES} samples of "
+        raise OptionError(
+            "span",
+            f" {span[0]:g} {span[1]:g}: expected at least {FEWEST_SAMPLES} samples of "
             f"{recording.path}, which reaches from {record.t[0]:g} to {record.t[-1]:g} s, "
-            f"found {max(last - first, 0)}"
+            f"found {max(last - first, 0)}",
         )
     return record.part(int(first), int(last))
 
@@ -284,25 +281,33 @@ def _held_out(
     return learn, judge
 
 
-def _paths(given: Path | Sequence[Path] | None) -> tuple[Path, ...]:
+def _paths(given: Taken | Sequence[Taken] | None) -> tuple[Taken, ...]:
     if given is None:
         return ()
-    return (given,) if isinstance(given, Path) else tuple(given)
+    return (given,) if isinstance(given, (Path, Recording)) else tuple(given)
 
 
-def _refuse_counts(paths: Sequence[Path], tests: Sequence[Path], per_recording: Sequence[str]) -> None:
+def read_all(taken: Sequence[Taken], run: int | None) -> list[Recording]:
+    """The recordings; those given by their paths are read, of each the ``run``."""
+    read = iter(read_recordings([each for each in taken if isinstance(each, Path)], run))
+    return [next(read) if isinstance(each, Path) else each for each in taken]
+
+
+def _refuse_counts(paths: Sequence[Taken], tests: Sequence[Taken], per_recording: Sequence[str]) -> None:
     """Raise UsageError where it is not clear which recording a value belongs to."""
     if not per_recording:
         return
     if len(paths) < 2:
-        raise UsageError(
-            f"--per-recording {','.join(per_recording)}: expected two recordings or more, found one; give "
-            "them one after another"
+        raise OptionError(
+            "per-recording",
+            f" {','.join(per_recording)}: expected two recordings or more, found one; give "
+            "them one after another",
         )
     if tests and len(tests) != len(paths):
-        raise UsageError(
-            f"--test: expected one for each of the {len(paths)} recordings, in their order, since "
-            f"{', '.join(per_recording)} has a value in each of them; found {len(tests)}"
+        raise OptionError(
+            "test",
+            f": expected one for each of the {len(paths)} recordings, in their order, since "
+            f"{', '.join(per_recording)} has a value in each of them; found {len(tests)}",
         )
 
 
@@ -330,12 +335,12 @@ def _refuse_twice(recordings: Sequence[Recording]) -> None:
 RIG_SECTIONS = ("known", "nominal", "metric")
 
 
-def common_rig(recordings: Sequence[Recording], rig_path: Path | None) -> RigFile:
+def common_rig(recordings: Sequence[Recording], rig_file: Path | RigFile | None) -> RigFile:
     """The rig file of all recordings: the given one, or the one that each of them carries.
 
     Raises RecordingError where these are of different kinds, or state different things of the rig.
     """
-    rigs = [rig_of(recording, rig_path) for recording in recordings]
+    rigs = [rig_of(recording, rig_file) for recording in recordings]
     first, begin = rigs[0], recordings[0]
     for rig, recording in zip(rigs[1:], recordings[1:], strict=True):
         if rig.kind.name != first.kind.name:
@@ -369,10 +374,10 @@ def _said(value: object) -> str:
     return "nothing" if value is None else str(value)
 
 
-def rig_of(recording: Recording, rig_path: Path | None) -> RigFile:
-    """The rig file at a path, or the one that the recording carries; RecordingError when it carries none."""
-    if rig_path is not None:
-        return load_rig(rig_path)
+def rig_of(recording: Recording, rig_file: Path | RigFile | None) -> RigFile:
+    """The given rig file, or the one that the recording carries; RecordingError when it carries none."""
+    if rig_file is not None:
+        return rig_file if isinstance(rig_file, RigFile) else load_rig(rig_file)
     if recording.rig is None:
         if rig_name() in recording.ambiguous:
             raise RecordingError(

@@ -1,0 +1,145 @@
+"""Results as they stand in JSON files: read, checked, and with names that a type checker knows.
+
+Only what is shown is asked for; keys that are not known here pass unseen, so that a page can be made of a
+result with more in it.
+"""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+from pydantic import ValidationError
+
+from labhil.analysis.schema.diagnosis import (
+    ChangedParameter,
+    ChannelImprovement,
+    CollapsedSize,
+    DiagnosisPart,
+    Evidence,
+    ExcludedEffect,
+    FittedModel,
+    Improvement,
+    Location,
+    MissingEffect,
+    RecordingImprovement,
+    Regime,
+    Rival,
+    ShorterWindows,
+    UndecidedEffect,
+    Verdict,
+)
+from labhil.analysis.schema.fit import (
+    FitPart,
+    FittedChannel,
+    Identifiability,
+    Intervals,
+    ResidualTests,
+    WindowEstimate,
+)
+from labhil.analysis.schema.parts import (
+    ChannelErrors,
+    EstimatedCurve,
+    Fault,
+    Interval,
+    Number,
+    Parameter,
+    Parameters,
+    Part,
+    RecordingErrors,
+    Score,
+    Source,
+)
+from labhil.analysis.schema.verification import (
+    ChannelVerdict,
+    ValueChange,
+    VerificationPart,
+    WorstWindow,
+)
+from labhil.documents import parse_json
+from labhil.errors import ModelFileError
+
+__all__ = [
+    "ChangedParameter",
+    "ChannelErrors",
+    "ChannelImprovement",
+    "ChannelVerdict",
+    "CollapsedSize",
+    "DiagnosisPart",
+    "EstimatedCurve",
+    "Evidence",
+    "ExcludedEffect",
+    "Fault",
+    "FitPart",
+    "FittedChannel",
+    "FittedModel",
+    "Identifiability",
+    "Improvement",
+    "Interval",
+    "Intervals",
+    "Location",
+    "MissingEffect",
+    "Number",
+    "Parameter",
+    "Parameters",
+    "Part",
+    "RecordingErrors",
+    "RecordingImprovement",
+    "Regime",
+    "ResidualTests",
+    "Rival",
+    "Score",
+    "ShorterWindows",
+    "Source",
+    "UndecidedEffect",
+    "ValueChange",
+    "Verdict",
+    "VerificationPart",
+    "WindowEstimate",
+    "WorstWindow",
+    "any_result_of",
+    "checked",
+    "json_of",
+    "result_of",
+]
+
+Result = TypeVar("Result", bound=Part)
+
+FIT, DIAGNOSIS, VERIFICATION = "labhil.fit/1", "labhil.diagnosis/1", "labhil.verification/1"
+
+
+def any_result_of(data: Any, origin: str) -> FitPart | DiagnosisPart | VerificationPart:
+    """The same, or a verification."""
+    if isinstance(data, dict) and data.get("schema") == VERIFICATION:
+        return checked(VerificationPart, data, origin)
+    return result_of(data, origin)
+
+
+def result_of(data: Any, origin: str) -> FitPart | DiagnosisPart:
+    """A result of plain JSON data; ModelFileError names ``origin``, the field and what was expected."""
+    schema = data.get("schema") if isinstance(data, dict) else None
+    if schema == FIT:
+        return checked(FitPart, data, origin)
+    if schema == DIAGNOSIS:
+        return checked(DiagnosisPart, data, origin)
+    found = repr(schema) if schema else "no schema"
+    raise ModelFileError(f"{origin}: expected a result of schema {FIT} or {DIAGNOSIS}, found {found:.80}")
+
+
+def checked(kind: type[Result], data: Any, origin: str) -> Result:
+    """A result of this kind; ModelFileError names ``origin``, the field and what was expected."""
+    try:
+        return kind.model_validate(data)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        field = ".".join(str(place) for place in first["loc"])
+        raise ModelFileError(f"{origin}: {field}: {first['msg']}, found {first['input']!r:.80}") from error
+
+
+def json_of(text: bytes, origin: str) -> Any:
+    """Parsed JSON with None for NaN and infinities; ModelFileError when it is none."""
+    try:
+        return parse_json(text.decode("utf-8"), constant=lambda name: None)
+    except ValueError as error:
+        raise ModelFileError(
+            f"{origin}: expected a recording (MCAP) or the JSON of `labhil fit` or `labhil diagnose`: {error}"
+        ) from error

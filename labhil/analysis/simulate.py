@@ -1,0 +1,56 @@
+"""The model of a result, run on a recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from labhil.analysis.kept_curve import under_kept_curve
+from labhil.analysis.material import Taken, measured_of, naming, read_all, refuse_holes, rig_of
+from labhil.analysis.results import SavedModel, finite, score_json, values_of
+from labhil.analysis.schema import Score as ScorePart
+from labhil.analysis.schema import checked
+from labhil.errors import ModelFileError, OptionError
+from labhil.identify.fitted import start_theta
+from labhil.identify.score import Score, score
+from labhil.identify.windows import noise_of, told_apart
+from labhil.physics.model import Record, index_of
+from labhil.physics.rigs import model_for
+
+
+@dataclass(frozen=True, slots=True)
+class Simulated:
+    """The prepared record, the score of the model on it, and that score as JSON says it."""
+
+    name: str
+    record: Record
+    score: Score
+    part: ScorePart
+
+
+def simulated(taken: Taken, saved: SavedModel, kind: str | None, horizon: float | None) -> Simulated:
+    """Simulate the windows of a recording with the values of a result.
+
+    Raises ModelFileError where the result is of another rig ``kind``, RecordingError where the recording
+    cannot be simulated.
+    """
+    if horizon is not None and not 0.0 < horizon < float("inf"):
+        raise OptionError("horizon", f": expected more than 0 s, found {horizon:g}")
+    recording = read_all([taken], None)[0]
+    rig = rig_of(recording, None)
+    if kind is not None and kind != rig.kind.name:
+        raise ModelFileError(
+            f"{recording.path}: expected a recording of {kind}, as {saved}, found one of {rig.kind.name}"
+        )
+    records, measured = measured_of([recording], rig)
+    refuse_holes(recording.path, records[0])
+    model = under_kept_curve(model_for(rig, measured), saved)
+    values = values_of(saved)
+    known = index_of(model.parameters)
+    foreign = [name for name in values if name not in known]
+    if foreign:
+        raise ModelFileError(f"{saved}: {foreign[0]}: a model of {rig.kind.name} has no such parameter")
+    with naming([recording]):
+        record = told_apart(model, model.prepare(measured))
+        found = score(model, start_theta(model, values), record, noise_of(record), horizon)
+    part = checked(ScorePart, finite(score_json(found)), "the score")
+    return Simulated(str(recording.path), record, found, part)

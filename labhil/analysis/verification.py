@@ -1,0 +1,105 @@
+"""A verification: from files to the answer and its JSON."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from labhil.analysis.kept_curve import under_kept_curve
+from labhil.analysis.material import Taken, refuse_holes, rig_of
+from labhil.analysis.results import Reference, Source, accepted_of, finite, score_json
+from labhil.analysis.schema import VerificationPart, checked
+from labhil.diagnose.verify import ALPHA, Verification, verify
+from labhil.errors import ModelFileError, OptionError, RecordingError
+from labhil.identify.windows import FEWEST_SAMPLES
+from labhil.physics.model import Record
+from labhil.physics.rigs import model_for, record_of
+from labhil.recording.reader import read_recording
+from labhil.rig import RigFile
+
+
+@dataclass(frozen=True, slots=True)
+class VerificationResult:
+    """A verification with its JSON; ``losses`` are what the recording lacks, a line each."""
+
+    verification: Verification
+    losses: tuple[str, ...]
+    json: Any
+
+    @property
+    def part(self) -> VerificationPart:
+        """What the JSON says, as it is printed."""
+        return checked(VerificationPart, self.json, "the verification")
+
+
+def verify_study(
+    taken: Taken,
+    model_file: Reference,
+    rig_file: Path | RigFile | None = None,
+    *,
+    alpha: float = ALPHA,
+    device: str | None = None,
+    run: int | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+) -> VerificationResult:
+    """Hold a recording, or what it holds of one ``device`` or ``run``, against a result's model.
+
+    Raises UsageError (RecordingError, RigFileError, ModelFileError) with what is wrong and where.
+    """
+    if not 0.0 < alpha < 0.5:
+        raise OptionError("alpha", f": expected a probability above 0 and below 0.5, found {alpha:g}")
+    began = time.perf_counter()
+    accepted = accepted_of(model_file)
+    recording = (read_recording(taken, run) if isinstance(taken, Path) else taken).of_device(device)
+    path, rig = recording.path, rig_of(recording, rig_file)
+    if accepted.rig not in (None, rig.kind.name):
+        raise ModelFileError(
+            f"{model_file}: rig: expected a model of {rig.kind.name}, as the recording {path}, "
+            f"found one of {accepted.rig}"
+        )
+    record = record_of(recording, rig.kind)
+    refuse_holes(path, record)
+    if len(record) < 2 * FEWEST_SAMPLES:
+        raise RecordingError(
+            f"{path}: too short to verify: {len(record)} samples, at least {2 * FEWEST_SAMPLES} are needed"
+        )
+    model = under_kept_curve(model_for(rig, record), model_file)
+    found = verify(model, model.prepare(record), accepted, alpha=alpha, progress=progress)
+    source = Source(str(path), recording.sha256, model.kind, len(record), _duration(record), "test")
+    seconds = time.perf_counter() - began
+    data = verification_json(found, source, model_file, seconds)
+    return VerificationResult(found, tuple(recording.losses()), data)
+
+
+def _duration(record: Record) -> float:
+    return float(record.t[-1] - record.t[0])
+
+
+def verification_json(found: Verification, source: Source, model_file: Reference, seconds: float) -> Any:
+    """The whole answer as plain JSON data (`labhil.verification/1`): no NaN, no infinity, null instead."""
+    return finite(
+        {
+            "schema": "labhil.verification/1",
+            "recordings": [asdict(source)],
+            "model": str(model_file),
+            "rig": source.rig,
+            "terms": list(found.refit.terms),
+            "verdict": "consistent" if found.consistent else "contradicted",
+            "alpha": found.alpha,
+            "p_value": found.p_value,
+            "reasons": list(found.reasons),
+            "notes": list(found.notes),
+            "adequacy": found.adequacy.verdict.value,
+            "residual_over_noise": dict(found.adequacy.residual_over_noise),
+            "score": score_json(found.score),
+            "channels": [asdict(channel) for channel in found.channels],
+            "values_p": found.values_p,
+            "parameters": [asdict(change) for change in found.changes],
+            "worst_windows": [asdict(window) for window in found.worst],
+            "window": found.window,
+            "seconds": seconds,
+        }
+    )

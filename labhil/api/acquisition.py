@@ -1,0 +1,237 @@
+"""Acquiring: one device at hand, or a whole experiment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydantic import ValidationError
+
+from labhil.api.inputs import PathLike, path_of, rig_file
+from labhil.errors import ExperimentFileError, RunError, UsageError
+from labhil.experiment.bench import Bench
+from labhil.experiment.experiment import DeviceSection, TwinSection, WithDevices, load_experiment
+from labhil.experiment.experiment import Experiment as ExperimentFile
+from labhil.experiment.plan import Plan, device_plan, make_plan
+from labhil.rig import RigFile, explain
+
+if TYPE_CHECKING:
+    from labhil.api.model import Model
+    from labhil.api.recording import Recording
+    from labhil.experiment.result import Progress, RunResult
+
+DEVICE = "bench"
+RunProgress = bool | Callable[["Progress"], None] | None
+
+
+def connect(
+    driver: str,
+    address: str = "twin",
+    *,
+    rig: PathLike | Model | RigFile | None = None,
+    twin: Mapping[str, Any] | None = None,
+) -> Bench:
+    """Connect to a device, under its host's limits and watchdog.
+
+    Args:
+        driver: A name of ``labhil devices``, such as ``"ball_beam"``.
+        address: Where it is: ``"/dev/ttyACM0"``, ``"socket://host:port"``, an IP address; ``"twin"`` starts a
+            simulated device and stops it afterwards.
+        rig: The path of a rig file, or a model, with the ``[limits]`` that hold; no limits when absent.
+        twin: How the simulated device is made: ``terms``, ``set``, ``seed``, ``speed``, …, as in an
+            experiment file.
+
+    Returns:
+        The bench, to be used in a ``with`` statement: the device is safe when it ends, however it ends.
+
+    Raises:
+        UsageError: There is no such driver, or the settings of the twin are none.
+        ConnectError: Nobody answers at the address; raised when the ``with`` statement begins.
+
+    Example:
+        >>> import labhil as lh
+        >>> with lh.connect("dc_motor", "twin", twin={"seed": 1}) as bench:
+        ...     applied = bench.command(voltage=2.0, hold=0.3)
+        ...     sample = bench.read()
+        >>> sample["speed"] > 0.0
+        True
+    """
+    try:
+        section = DeviceSection(plugin=driver, address=address, twin=TwinSection(**(twin or {})))
+        devices = WithDevices(devices={DEVICE: section}, path=Path("labhil.connect"))
+    except (ValidationError, TypeError) as error:
+        told = explain(error, Path("twin"), TwinSection) if isinstance(error, ValidationError) else str(error)
+        raise UsageError(told) from error
+    plan, own = device_plan(devices, DEVICE), rig_file(rig)
+    if own is not None and own.kind.name != plan.spec.rig:
+        raise UsageError(f"rig: expected one of kind {plan.spec.rig!r}, as {driver}, found {own.kind.name!r}")
+    return Bench(plan if own is None else replace(plan, rig=own))
+
+
+class Experiment:
+    """A scripted acquisition: devices, what moves them, and for how long. Immutable.
+
+    Its arguments are the tables of an experiment file; :meth:`load` reads one.
+
+    Example:
+        >>> import labhil as lh
+        >>> experiment = lh.Experiment(
+        ...     "step", devices={"bench": {"plugin": "dc_motor", "address": "twin"}},
+        ...     steps=[{"device": "bench", "signal": "voltage", "excitation": "hold", "level": 3.0,
+        ...             "duration": 2.0}])
+        >>> experiment.duration
+        2.0
+        >>> print(experiment.plan().splitlines()[0])
+        step: 2 s of the devices' clocks
+    """
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        devices: Mapping[str, Mapping[str, Any]],
+        steps: Sequence[Mapping[str, Any]],
+        seed: int = 0,
+        record: Mapping[str, Any] | None = None,
+        directory: PathLike = ".",
+    ) -> None:
+        """Describe an acquisition.
+
+        Args:
+            name: What it is called.
+            devices: ``plugin``, ``address`` and ``rig`` by the name of the device.
+            steps: ``device``, ``signal``, ``excitation``, ``duration`` and what the excitation needs, one
+                after another.
+            seed: Of whatever is drawn at random.
+            record: ``path``, the name of the recording's file.
+            directory: Where relative paths begin.
+
+        Raises:
+            ExperimentFileError: A key that is missing, misspelt or wrong.
+        """
+        path = path_of(directory, "directory") / "labhil.Experiment"
+        data: dict[str, Any] = {
+            "experiment": {"name": name, "seed": seed},
+            "devices": devices,
+            "steps": steps,
+        }
+        if record is not None:
+            data["record"] = record
+        try:
+            self._file = ExperimentFile.model_validate({**data, "path": path})
+        except ValidationError as error:
+            raise ExperimentFileError(explain(error, path, ExperimentFile)) from error
+
+    @classmethod
+    def load(cls, path: PathLike) -> Experiment:
+        """Read an experiment file; ExperimentFileError names the file, the field and what was expected."""
+        made = cls.__new__(cls)
+        made._file = load_experiment(path_of(path, "path"))
+        return made
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        return self._file.experiment.name
+
+    @property
+    def duration(self) -> float:
+        """How long its steps take, s of the devices' clocks."""
+        return self._file.duration
+
+    @cached_property
+    def _planned(self) -> Plan:
+        return make_plan(self._file)
+
+    def plan(self) -> str:
+        """What it would do, as ``labhil run --dry-run`` prints it; no device is touched.
+
+        Raises:
+            UsageError: It cannot be run: no such driver or signal, or a step beyond the limits.
+        """
+        return self._planned.describe()
+
+    def run(self, out: PathLike = ".", *, progress: RunProgress = None) -> Recording:
+        """Run it; see :func:`labhil.run`."""
+        from labhil.api.recording import read
+
+        result = self.execute(out, progress=progress)
+        if result.error is not None:
+            if result.path is not None:
+                result.error.add_note(f"What was recorded until then: {result.path}")
+            raise result.error
+        if result.path is None:
+            raise RunError(f"{self.name}: nothing was recorded: {result.reason}")
+        return read(result.path)
+
+    def execute(self, out: PathLike = ".", *, progress: RunProgress = None) -> RunResult:
+        """Run it, and return what came of it, whatever that is: no error of the run is raised.
+
+        Args:
+            out: The folder for the recording.
+            progress: A function that is told how far the run has come, or True for a bar on stderr.
+
+        Returns:
+            ``path`` of the recording, ``exit_status``, ``reason``, ``error``, ``streams``.
+        """
+        from labhil.experiment.run import run_experiment
+
+        with ExitStack() as stack:
+            if callable(progress):
+                tell = progress
+            elif progress:
+                from labhil.experiment.show import ProgressBar
+
+                tell = stack.enter_context(ProgressBar())
+            else:
+                tell = _nobody
+            return run_experiment(self._file, path_of(out, "out"), tell)
+
+    def warnings(self) -> tuple[str, ...]:
+        """What is doubtful in its steps, a line each."""
+        return self._planned.warnings()
+
+    def __repr__(self) -> str:
+        devices = ", ".join(self._file.devices)
+        return f"<Experiment {self.name}: {len(self._file.steps)} steps, {self.duration:g} s, on {devices}>"
+
+
+def _nobody(progress: Progress) -> None:
+    """Nobody is told."""
+
+
+def run(experiment: PathLike | Experiment, out: PathLike = ".", *, progress: RunProgress = None) -> Recording:
+    """Acquire: run the steps of an experiment and leave one recording.
+
+    However it ends, every device is brought to its safe state first. Ctrl+C ends it, too.
+
+    Args:
+        experiment: The path of an experiment file, or an :class:`Experiment`.
+        out: The folder for the recording.
+        progress: A function that is told how far the run has come, or True for a bar on stderr.
+
+    Returns:
+        The recording.
+
+    Raises:
+        ExperimentFileError: The experiment cannot be run; nothing was started.
+        RunError: A limit tripped, somebody stopped it, a device failed; its notes say where the recording is.
+
+    Example:
+        >>> import tempfile
+        >>> import labhil as lh
+        >>> experiment = lh.Experiment(
+        ...     "step", devices={"bench": {"plugin": "dc_motor", "address": "twin"}},
+        ...     steps=[{"device": "bench", "signal": "voltage", "excitation": "hold", "level": 3.0,
+        ...             "duration": 1.0}])
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     rec = lh.run(experiment, folder)
+        >>> print(rec["voltage"].max())
+        3.0
+    """
+    ready = experiment if isinstance(experiment, Experiment) else Experiment.load(experiment)
+    return ready.run(out, progress=progress)

@@ -1,0 +1,386 @@
+"""Finding what a model lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from labhil.analysis.schema import (
+    ChangedParameter,
+    DiagnosisPart,
+    EstimatedCurve,
+    ExcludedEffect,
+    Fault,
+    FittedModel,
+    Improvement,
+    Location,
+    MissingEffect,
+    Rival,
+    Source,
+    UndecidedEffect,
+    Verdict,
+    checked,
+)
+from labhil.api.inputs import (
+    PathLike,
+    Progress,
+    names_of,
+    number_of,
+    number_or_none,
+    path_of,
+    reference_of,
+    rig_file,
+    span_of,
+    taken_of,
+    telling,
+)
+from labhil.api.render import axes_of, channel_of
+from labhil.api.result import Result, parameter_frame, parameter_set, unsaved
+from labhil.api.simulation import Simulation, simulate
+from labhil.errors import UnknownNameError
+from labhil.physics.terms import keyed
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from rich.console import RenderableType
+
+    from labhil.analysis.results import SavedModel
+    from labhil.analysis.study import DiagnosisResult
+    from labhil.api.fit import Fit
+    from labhil.api.model import Model
+    from labhil.api.recording import Recording
+    from labhil.rig import RigFile
+
+
+class Diagnosis(Result):
+    """What a model lacks, where, and how much better it is with it. Made by :func:`labhil.diagnose` and
+    :func:`labhil.load`; immutable.
+
+    ``print(dx)`` is the report of ``labhil diagnose``.
+
+    Example:
+        >>> import labhil as lh
+        >>> dx = lh.load("examples/diagnosis.json")
+        >>> dx.verdict
+        'missing_physics'
+        >>> [effect.term for effect in dx.missing]
+        ['dead_zone', 'coulomb_friction', 'stribeck_friction']
+        >>> print(dx.missing[1].parameters[0].name)
+        coulomb_friction.level
+        >>> dx.improvement.rmse_after < dx.improvement.rmse_before
+        True
+    """
+
+    def __init__(
+        self,
+        data: Mapping[str, Any],
+        study: DiagnosisResult | None = None,
+        ended: str = "",
+        name: str = "the diagnosis",
+    ) -> None:
+        super().__init__(data, name)
+        self._part = checked(DiagnosisPart, data, name)
+        self._study, self._ended = study, ended
+
+    @property
+    def part(self) -> DiagnosisPart:
+        """All that the JSON says, with types."""
+        return self._part
+
+    @property
+    def verdict(self) -> Verdict:
+        """``no_mismatch``, ``parameter_change``, ``missing_physics``, ``unexplained_mismatch``,
+        ``data_fault`` or ``not_decidable``."""
+        return self._part.verdict
+
+    @property
+    def p_value(self) -> float | None:
+        """Probability of data like these if the baseline were complete."""
+        return self._part.p_value
+
+    @property
+    def missing(self) -> tuple[MissingEffect, ...]:
+        """Every effect that was found, by evidence; see :class:`labhil.MissingEffect`."""
+        return self._part.missing
+
+    @property
+    def rivals(self) -> tuple[Rival, ...]:
+        """What would explain the data about as well as a found effect, and how to tell them apart."""
+        return self._part.rivals
+
+    @property
+    def excluded(self) -> tuple[ExcludedEffect, ...]:
+        """Effects that are not there, each with the largest size that could hide in these data."""
+        return self._part.excluded
+
+    @property
+    def undecided(self) -> tuple[UndecidedEffect, ...]:
+        """Effects of which these data cannot speak, with the reason and the channels that are needed."""
+        return self._part.undecided
+
+    @property
+    def changed(self) -> tuple[ChangedParameter, ...]:
+        """Parameters whose values differ from those of the user's own model."""
+        return self._part.changed
+
+    @property
+    def where(self) -> Location | None:
+        """Where the error is: channel, times, regimes, and a plain ``statement``."""
+        return self._part.location
+
+    @property
+    def improvement(self) -> Improvement | None:
+        """Errors before and after on data that the search never saw; see :class:`labhil.Improvement`."""
+        return self._part.improvement
+
+    @property
+    def baseline(self) -> FittedModel:
+        """The model that the search began with: ``terms`` and ``parameters``."""
+        return self._part.baseline
+
+    @property
+    def final(self) -> FittedModel:
+        """The model with what was found: ``terms`` and ``parameters``."""
+        return self._part.final
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """Faults of the data, each with a ``kind`` and a ``statement``."""
+        return self._part.faults
+
+    @property
+    def curves(self) -> tuple[EstimatedCurve, ...]:
+        """Estimated forces that no named effect explains."""
+        return tuple(each for each in (self._part.curve, *self._part.further_curves) if each is not None)
+
+    @property
+    def recordings(self) -> tuple[Source, ...]:
+        """The recordings that it comes from: ``path``, ``sha256``, ``samples``, ``duration`` (s) of each."""
+        return self._part.recordings
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is doubtful in the data, or was taken for known, a sentence each."""
+        return (*self._part.doubts, *self._part.notes)
+
+    @property
+    def complete(self) -> bool:
+        """False where it was ended early, with the best so far."""
+        return self._part.complete
+
+    @property
+    def ended(self) -> str:
+        """Why it was ended early; empty where it was not, or where that is not known."""
+        return self._ended
+
+    def __repr__(self) -> str:
+        found = "\n".join(f"  {effect}" for effect in self.missing)
+        return f"<Diagnosis: {self.verdict}>" + (f"\n{found}" if found else "")
+
+    def _renderables(self) -> Sequence[RenderableType]:
+        from labhil.report.text import diagnosis_text
+
+        return [diagnosis_text(self._part)]
+
+    def to_pandas(self) -> Any:
+        """The parameters of the final model as a pandas DataFrame, a row each.
+
+        Raises:
+            MissingExtraError: pandas is not installed.
+        """
+        return parameter_frame(self.final.parameters)
+
+    def to_xarray(self) -> Any:
+        """The parameters of the final model as an xarray Dataset.
+
+        Raises:
+            MissingExtraError: xarray is not installed.
+        """
+        return parameter_set(self.final.parameters, None, {"verdict": self.verdict})
+
+    @property
+    def saved(self) -> SavedModel:
+        """The final model, to start from or to compare with."""
+        from labhil.analysis.results import SavedModel
+
+        return SavedModel(self._name, self._data)
+
+    def simulate(self, rec: PathLike | Recording, *, horizon: float | None = None) -> Simulation:
+        """Run the final model on a recording; as :meth:`labhil.Fit.simulate`."""
+        rigs = {source.rig for source in self.recordings if source.rig}
+        return simulate(self.saved, rec, rig=rigs.pop() if len(rigs) == 1 else None, horizon=horizon)
+
+    def plot(self, ax: Axes | None = None, *, channel: int | str | None = None) -> Axes:
+        """Draw measurement, baseline and final model on data that the search never saw.
+
+        Args:
+            ax: Axes to draw into; new ones when absent.
+            channel: Which output, by name or by place, from 0; the one that is off by most when absent.
+
+        Returns:
+            The matplotlib axes.
+
+        Raises:
+            UsageError: The result was loaded, and holds no samples.
+        """
+        from labhil.report.plots import draw_windows, located
+
+        found, axes = self._drawn("plot").diagnosis, axes_of(ax)
+        draw_windows(axes, found, located(found) if channel is None else self._place(channel))
+        return axes
+
+    def plot_errors(self, ax: Axes | None = None, *, channel: int | str | None = None) -> Axes:
+        """Draw the errors before and after, with the noise floor; as :meth:`plot`."""
+        from labhil.report.plots import draw_errors, located
+
+        found, axes = self._drawn("plot_errors").diagnosis, axes_of(ax)
+        draw_errors(axes, found, located(found) if channel is None else self._place(channel))
+        return axes
+
+    def plot_effect(self, term: str, ax: Axes | None = None) -> Axes:
+        """Draw what a found effect adds, over the coordinate where it shows best.
+
+        Args:
+            term: Its name; with the joint in brackets where there are joints: ``"payload"``,
+                ``"coulomb_friction[2]"``.
+            ax: Axes to draw into; new ones when absent.
+
+        Returns:
+            The matplotlib axes.
+
+        Raises:
+            UnknownNameError: No such effect was found.
+            UsageError: The result was loaded, and holds no samples.
+        """
+        from labhil.report.plots import draw_named_effect
+
+        found = self._drawn("plot_effect").diagnosis
+        if term not in found.named:
+            raise UnknownNameError("found effect", term, found.named)
+        axes = axes_of(ax)
+        draw_named_effect(axes, found, term)
+        return axes
+
+    def figure(self) -> Figure:
+        """All panels in one matplotlib figure, as ``labhil diagnose --plot`` writes it."""
+        from labhil.report.plots import diagnosis_figure
+
+        return diagnosis_figure(self._drawn("figure").diagnosis)
+
+    def report(self, path: PathLike) -> Path:
+        """Write one HTML page about it, complete in itself.
+
+        Args:
+            path: The file to write.
+
+        Returns:
+            The path.
+
+        Raises:
+            UsageError: It cannot be written there.
+        """
+        from labhil.report.html.diagnosis import diagnosis_page
+        from labhil.report.html.page import write_page
+        from labhil.report.html.picture import Album
+        from labhil.report.html.study import foot_of, write_diagnosis_page
+
+        file = path_of(path, "path")
+        if self._study is not None:
+            write_diagnosis_page(self._study, file)
+        else:
+            write_page(diagnosis_page(self._part, foot_of(self._part), Album()), file)
+        return file
+
+    def _place(self, channel: int | str) -> int:
+        rows = self.improvement.after.scored if self.improvement is not None else ()
+        return channel_of(channel, [keyed(row.channel, row.joint) for row in rows])
+
+    @property
+    def study(self) -> DiagnosisResult:
+        """The computation behind it, with its samples; UsageError of a result that was loaded or pickled."""
+        return self._drawn("study")
+
+    def _drawn(self, what: str) -> DiagnosisResult:
+        if self._study is None:
+            raise unsaved(what)
+        return self._study
+
+
+def diagnose(
+    rec: PathLike | Recording | Sequence[PathLike | Recording],
+    model: PathLike | Model | RigFile | None = None,
+    *,
+    baseline: Iterable[str] | str | None = None,
+    test: PathLike | Recording | Sequence[PathLike | Recording] | None = None,
+    holdout: float = 0.3,
+    reference: Fit | Diagnosis | PathLike | None = None,
+    per_recording: Iterable[str] | str | None = None,
+    span: tuple[float, float] | None = None,
+    device: str | None = None,
+    run: int | None = None,
+    seconds: float | None = None,
+    progress: Progress = None,
+    warn: Callable[[Iterable[str]], object] | None = None,
+) -> Diagnosis:
+    """Say where a model and a recording disagree, what physics is missing, and how much it helps.
+
+    Takes from seconds to minutes. Ctrl+C, or the end of ``seconds``, ends it with the best so far.
+
+    Args:
+        rec: A recording or its path; several of one rig are searched together.
+        model: A rig kind, the path of a rig file, or what :func:`labhil.model` made; the rig file that the
+            recording carries when absent.
+        baseline: The effects that your simulation has; the rig kind's baseline when absent.
+        test: Recordings to judge on. Without them the last ``holdout`` of each recording is held out.
+        holdout: Share that is held out.
+        reference: A fit or a diagnosis, or its file, that stands for your simulation: only with one, or with
+            nominal values in the model, can a changed value be told from missing physics.
+        per_recording: Terms, parameters or sizes that have a value of their own in each recording.
+        span: Use only this stretch of every recording, from … to, s.
+        device: Which device, where recordings hold several.
+        run: Which run, from 1, where a file holds several.
+        seconds: End after so many seconds, with the best so far.
+        progress: A function that is told what is being done, or True for a line on stderr.
+        warn: A function that is told, before the work begins, what the recordings lack, as lines.
+
+    Returns:
+        The diagnosis: ``print`` it, read :attr:`Diagnosis.missing` and :attr:`Diagnosis.improvement`.
+
+    Raises:
+        RecordingError: The recording lacks what the model needs.
+        UnknownNameError: A term that does not exist.
+        RunStoppedError: It was ended before there was anything.
+
+    Example:
+        >>> import labhil as lh
+        >>> dx = lh.diagnose("recordings/ball_beam_identify.mcap", baseline=[
+        ...     "viscous_friction", "coulomb_friction", "stribeck_friction", "dead_zone"])
+        >>> dx.verdict
+        'no_mismatch'
+    """
+    from labhil.analysis.early import ending_early
+    from labhil.analysis.material import load_material
+    from labhil.analysis.study import diagnose_study
+
+    material = load_material(
+        taken_of(rec, "rec"),
+        rig_file(model),
+        None if test is None else taken_of(test, "test"),
+        number_of(holdout, "holdout"),
+        names_of(per_recording, "per_recording") or (),
+        span=span_of(span),
+        device=device,
+        run=run,
+    )
+    if warn is not None:
+        warn(material.losses())
+    with telling(progress) as say, ending_early(number_or_none(seconds, "seconds")) as deadline:
+        found = diagnose_study(
+            material,
+            baseline=names_of(baseline, "baseline"),
+            reference=reference_of(reference, "reference"),
+            progress=say,
+        )
+    return Diagnosis(found.json, found, "" if found.diagnosis.complete else deadline.reason)

@@ -1,0 +1,294 @@
+"""Recordings, and how they are read from files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from labhil.api.inputs import PathLike, Progress, path_of, rig_file, telling
+from labhil.api.model import Model
+from labhil.api.render import axes_of, data_frame, data_set
+from labhil.errors import RecordingError, UsageError, suggestion
+from labhil.recording.reader import Event, StreamData
+from labhil.recording.reader import Recording as FileRecording
+from labhil.rig import RigFile
+from labhil.signals import FloatArray, Signal
+from labhil.whole import whole
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+class Recording:
+    """A recording: samples of a rig over time, in SI units. Immutable.
+
+    Made by :func:`labhil.read`, :func:`labhil.recording` and :func:`labhil.run`. Signals are read by name:
+    ``rec["ball_position"]`` has shape (n,), a vector such as the six joints of an arm (n, 6).
+
+    Example:
+        >>> import labhil as lh
+        >>> rec = lh.read("recordings/ball_beam_identify.mcap")
+        >>> rec
+        <Recording of ball_beam: 2803 samples, 28.02 s at 100 Hz; ball_position, servo_angle>
+        >>> rec["ball_position"].shape, rec.t.shape
+        ((2803,), (2803,))
+        >>> rec.signals["servo_angle"].unit
+        'rad'
+        >>> rec.lost
+        0
+    """
+
+    def __init__(
+        self, file: FileRecording, notes: tuple[str, ...] = (), content: bytes | None = None
+    ) -> None:
+        self._file, self._notes, self._content = file, notes, content
+
+    @property
+    def file(self) -> FileRecording:
+        """All that the file holds: streams, clocks, attachments."""
+        return self._file
+
+    @property
+    def path(self) -> Path:
+        """Where it was read from; for arrays, their name."""
+        return self._file.path
+
+    @property
+    def model(self) -> Model | None:
+        """The model of the rig file that the recording carries; None where it carries none."""
+        return None if self._file.rig is None else Model(self._file.rig)
+
+    @property
+    def main(self) -> StreamData:
+        """The stream with the rig's outputs; without a rig file the longest one.
+
+        RecordingError where the recording holds no stream.
+        """
+        streams = [each for each in self._file.streams if len(each)] or list(self._file.streams)
+        if not streams:
+            raise RecordingError(f"{self.path}: {self._file.no_streams()}")
+        outputs = set() if self._file.rig is None else {s.name for s in self._file.rig.kind.outputs}
+        return max(streams, key=lambda each: (len(outputs & set(each.stream.names())), len(each)))
+
+    @property
+    def streams(self) -> Mapping[str, StreamData]:
+        """All streams by ``device/stream``: ``t``, ``values``, ``rate``, ``lost`` and stamps of each."""
+        return {f"{each.device}/{each.stream.name}": each for each in self._file.streams}
+
+    @property
+    def t(self) -> FloatArray:
+        """Times of the samples, (n,) s from the first; read only, as all arrays here."""
+        return _fixed(self.main.t)
+
+    @property
+    def signals(self) -> Mapping[str, Signal]:
+        """The signals by name, each with its ``unit``, ``direction``, ``width`` and ``description``."""
+        return {signal.name: signal for signal in self.main.stream.signals}
+
+    @property
+    def rate(self) -> float:
+        """Measured rate, Hz."""
+        return self.main.rate
+
+    @property
+    def duration(self) -> float:
+        """From the first sample to the last, s."""
+        return self._file.duration
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """What happened on the way, each with ``t`` (s), ``device``, ``topic`` and ``body``."""
+        return self._file.events
+
+    @property
+    def lost(self) -> int:
+        """How many samples are missing in all streams."""
+        return sum(each.lost for each in self._file.streams)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is to be known of it, a line each: how it was imported, what is missing, faulty clocks."""
+        return (*self._notes, *self._file.losses())
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What the physics of the rig calls implausible: units, signs, times or columns, a sentence each."""
+        from labhil.analysis.doubts import doubts_in
+
+        return tuple(doubts_in(self._file))
+
+    def __len__(self) -> int:
+        return len(self.main)
+
+    def __getitem__(self, name: str) -> FloatArray:
+        if name in self.signals:
+            return _fixed(self.main[name])
+        for each in self._file.streams:
+            if name in each.stream.names():
+                return _fixed(each[name])
+        names = [known for each in self._file.streams for known in each.stream.names()]
+        raise RecordingError(
+            f"{self.path}: no signal {name!r}{suggestion(str(name), names)}; "
+            f"found: {', '.join(dict.fromkeys(names))}"
+        )
+
+    def __repr__(self) -> str:
+        of = "" if self._file.rig is None else f" of {self._file.rig.kind.name}"
+        if not self._file.streams:
+            return f"<Recording{of}: {self._file.no_streams()}>"
+        return (
+            f"<Recording{of}: {len(self)} samples, {self.duration:.4g} s at {self.rate:.4g} Hz; "
+            f"{', '.join(self.signals)}>"
+        )
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Recording) and self._file.sha256 == other._file.sha256
+
+    def __hash__(self) -> int:
+        return hash(self._file.sha256)
+
+    def _columns(self) -> dict[str, FloatArray]:
+        main = self.main
+        return dict(zip(main.stream.columns(), main.values.T, strict=True))
+
+    def to_pandas(self) -> Any:
+        """The samples as a pandas DataFrame: index ``t`` (s), a column for each signal (SI units).
+
+        Raises:
+            MissingExtraError: pandas is not installed.
+        """
+        return data_frame(self._columns(), index=self.t, index_name="t")
+
+    def to_xarray(self) -> Any:
+        """The samples as an xarray Dataset over ``t`` (s); each variable has its ``units``.
+
+        Raises:
+            MissingExtraError: xarray is not installed.
+        """
+        units = {column: s.unit for s in self.main.stream.signals for column in s.columns()}
+        variables = {name: (("t",), x, {"units": units[name]}) for name, x in self._columns().items()}
+        return data_set(variables, {"t": self.t}, {"path": str(self.path), "sha256": self._file.sha256})
+
+    def plot(self, name: str | None = None, ax: Axes | None = None) -> Axes:
+        """Draw a signal over time.
+
+        Args:
+            name: Which signal; the rig's first output when absent.
+            ax: Axes to draw into; new ones when absent.
+
+        Returns:
+            The matplotlib axes.
+
+        Raises:
+            RecordingError: There is no such signal.
+        """
+        from labhil.report.figure import MEASURED, finish
+
+        signal = next(iter(self.signals)) if name is None else name
+        values = self[signal]
+        axes = axes_of(ax)
+        t = next(each.t for each in (self.main, *self._file.streams) if signal in each.stream.names())
+        lines = values if values.ndim == 2 else values[:, None]
+        for i, column in enumerate(lines.T):
+            single = lines.shape[1] == 1
+            axes.plot(t, column, lw=1.0, color=MEASURED if single else None, label="" if single else f"{i}")
+        unit = next(s.unit for each in self._file.streams for s in each.stream.signals if s.name == signal)
+        finish(axes, signal, "t, s", f"{signal}, {unit}")
+        return axes
+
+    def save(self, path: PathLike) -> Path:
+        """Write the recording as an MCAP file with its rig file; other tools can open it, too.
+
+        Args:
+            path: A new file that ends in ``.mcap``.
+
+        Returns:
+            The path.
+
+        Raises:
+            UsageError: The file exists already, or cannot be written there.
+        """
+        file = path_of(path, "path")
+        if file.suffix != ".mcap":
+            raise UsageError(f"{file}: expected a name that ends in .mcap; `labhil export` writes tables")
+        if file.exists():
+            raise UsageError(f"{file}: expected a new file, found one that exists; nothing was written")
+        content = self.path.read_bytes() if self._content is None else self._content
+        with whole(file, "the recording") as draft:
+            draft.write_bytes(content)
+        return file
+
+
+def _fixed(values: FloatArray) -> FloatArray:
+    """The same numbers, not to be written to."""
+    view = values.view()
+    view.flags.writeable = False
+    return view
+
+
+def read(
+    path: PathLike,
+    *,
+    rig: PathLike | Model | RigFile | None = None,
+    device: str | None = None,
+    run: int | None = None,
+    progress: Progress = None,
+) -> Recording:
+    """Read a recording from a file.
+
+    MCAP files need nothing more. Text tables, MAT, Parquet, XLSX and ROS 2 bags are read by the rules of a
+    rig
+    file: its ``[table]`` and ``[channels]`` say which column is which signal, in which unit.
+
+    Args:
+        path: The file, or the folder of a ROS 2 bag.
+        rig: A rig kind, the path of a rig file, or a model; needed for anything but MCAP, where the recording
+            carries its own.
+        device: Which device, where a recording holds several.
+        run: Which run, from 1, where a file holds several of one stream.
+        progress: A function that is told what is being done, or True for a line on stderr.
+
+    Returns:
+        The recording, in SI units.
+
+    Raises:
+        RecordingError: The file does not exist, is no recording, or lacks what is asked for.
+        TableError: A table lacks a column, or its rows cannot be used.
+        UsageError: A table without ``rig``.
+
+    Example:
+        >>> import labhil as lh
+        >>> rec = lh.read("recordings/ball_beam_test.mcap")
+        >>> print(f"{rec.duration:.1f} s of {', '.join(rec.signals)}")
+        28.1 s of ball_position, servo_angle
+    """
+    from labhil.recording.reader import read_recording
+
+    file, own = path_of(path, "path"), rig_file(rig)
+    if _is_table(file):
+        if own is None:
+            raise UsageError(
+                f"{file}: a table needs a rig, which says what its columns are: "
+                'labhil.read(…, rig="bench.toml"), or the kind where columns bear the names of signals'
+            )
+        from labhil.analysis.tables import read_table
+
+        with telling(progress) as say:
+            table, notes, content = read_table(file, own, say)
+        return Recording(table, tuple(notes), content)
+    found = read_recording(file, run).of_device(device)
+    return Recording(found if own is None else replace(found, rig=own))
+
+
+def _is_table(path: Path) -> bool:
+    """Whether a file is anything but a recording; of one that is not there the name tells."""
+    from labhil.recording.chunks import is_mcap
+
+    if path.is_dir():
+        return True
+    if path.name.endswith((".mcap", ".mcap.part")) or not path.is_file():
+        return path.suffix not in (".mcap", ".part", "") and not path.name.endswith(".mcap.part")
+    with path.open("rb") as file:
+        return not is_mcap(file.read(16))

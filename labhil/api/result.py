@@ -1,0 +1,155 @@
+"""What all results have in common: they print themselves, compare, are saved, and do not change."""
+
+from __future__ import annotations
+
+import copy
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+from labhil.api.inputs import PathLike, path_of
+from labhil.api.render import WIDTH, data_frame, data_set, html_of, text_of
+from labhil.errors import ModelFileError, UsageError
+
+if TYPE_CHECKING:
+    from rich.console import Console, RenderableType
+
+    from labhil.analysis.schema import Parameters, Source
+
+
+class Result(ABC):
+    """A result with its JSON. ``print`` shows the report of the command line, a notebook does in colours."""
+
+    def __init__(self, data: Mapping[str, Any], name: str) -> None:
+        self._data, self._name = data, name
+
+    @abstractmethod
+    def _renderables(self) -> Sequence[RenderableType]:
+        """What is printed."""
+
+    @property
+    @abstractmethod
+    def recordings(self) -> tuple[Source, ...]:
+        """The recordings that it comes from: ``path``, ``sha256``, ``samples``, ``duration`` (s) of each."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """The whole result as plain data, as it is saved."""
+        return copy.deepcopy(dict(self._data))
+
+    @classmethod
+    def load(cls, path: PathLike) -> Self:
+        """Read a saved result of this kind; :func:`labhil.load` reads any.
+
+        Args:
+            path: The JSON file.
+
+        Returns:
+            The result.
+
+        Raises:
+            ModelFileError: The file cannot be read, or holds another kind of result.
+        """
+        from labhil.api.saved import load
+
+        result = load(path)
+        if not isinstance(result, cls):
+            raise ModelFileError(f"{path}: expected a {cls.__name__}, found a {type(result).__name__}")
+        return result
+
+    def save(self, path: PathLike) -> Path:
+        """Write the whole result as JSON, the same that ``--json`` writes; :func:`labhil.load` reads it.
+
+        Args:
+            path: The file; one that is there is replaced.
+
+        Returns:
+            The path.
+
+        Raises:
+            UsageError: It cannot be written there.
+        """
+        from labhil.analysis.results import write_json
+
+        file = path_of(path, "path")
+        if not file.parent.is_dir():
+            raise UsageError(f"{file}: expected a folder {file.parent} to write into, found none")
+        write_json(dict(self._data), file)
+        return file
+
+    def text(self, width: int = WIDTH) -> str:
+        """The report as text.
+
+        Args:
+            width: Characters of a line.
+        """
+        return text_of([*self._early(), *self._renderables()], width)
+
+    def show(self, console: Console) -> None:
+        """Print the report on a console of rich."""
+        for each in self._renderables():
+            console.print(each)
+
+    def __str__(self) -> str:
+        return self.text()
+
+    def _repr_html_(self) -> str:
+        return html_of([*self._early(), *self._renderables()])
+
+    def _early(self) -> list[str]:
+        """What is said first of all of a result that was ended early."""
+        if self._data.get("complete", True):
+            return []
+        return ["ENDED EARLY: the best so far; more time may change it."]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, type(self)) and self._data == other._data
+
+    def __hash__(self) -> int:
+        return hash((type(self).__name__, *(source.sha256 for source in self.recordings)))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restored, (type(self), self._data, self._name)
+
+
+def _restored(kind: Any, data: Mapping[str, Any], name: str) -> Result:
+    result: Result = kind(data, name=name)
+    return result
+
+
+def unsaved(what: str) -> UsageError:
+    """The refusal of what a saved result cannot do, since it holds numbers and no samples."""
+    return UsageError(
+        f"{what}: a result that was loaded or pickled holds no samples; `simulate(recording).plot()` draws "
+        "its model beside a recording"
+    )
+
+
+def parameter_columns(parameters: Parameters) -> dict[str, list[Any]]:
+    """Parameters by columns, in the order of the report."""
+    from labhil.report.parameter_columns import COLUMNS
+
+    frames = [each for column in COLUMNS for each in column.frame]
+    return {name: [value(row) for row in parameters] for name, value in frames}
+
+
+def parameter_frame(parameters: Parameters) -> Any:
+    """A pandas DataFrame with a row for each parameter."""
+    return data_frame(parameter_columns(parameters), index=parameters.keys(), index_name="parameter")
+
+
+def parameter_set(parameters: Parameters, covariance: Any, attributes: Mapping[str, Any]) -> Any:
+    """An xarray Dataset over the parameters."""
+    import numpy as np
+
+    numbers = ("value", "std_error", "ci_low", "ci_high", "p_value")
+    columns = parameter_columns(parameters)
+    variables: dict[str, Any] = {
+        name: (("parameter",), np.array(columns[name], dtype=np.float64), {}) for name in numbers
+    }
+    names = parameters.keys()
+    coordinates: dict[str, Any] = {"parameter": names, "unit": ("parameter", columns["unit"])}
+    if covariance is not None:
+        variables["covariance"] = (("parameter", "parameter_"), covariance, {})
+        coordinates["parameter_"] = names
+    return data_set(variables, coordinates, attributes)

@@ -1,0 +1,58 @@
+"""Results from their files."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from labhil.analysis.schema import json_of
+from labhil.api.diagnosis import Diagnosis
+from labhil.api.fit import Fit
+from labhil.api.inputs import PathLike, path_of
+from labhil.api.verification import Verification
+from labhil.errors import ModelFileError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+KINDS: Mapping[str, type[Fit | Diagnosis | Verification]] = {
+    "labhil.fit/1": Fit,
+    "labhil.diagnosis/1": Diagnosis,
+    "labhil.verification/1": Verification,
+}
+
+
+def load(path: PathLike) -> Fit | Diagnosis | Verification:
+    """Read a result that was saved, by Python or by a command's ``--json``.
+
+    Args:
+        path: The JSON file.
+
+    Returns:
+        What its schema says: :class:`Fit`, :class:`Diagnosis` or :class:`Verification`. It holds numbers and
+        no
+        samples: it prints, simulates and makes pages, but does not draw the recording that it came from.
+
+    Raises:
+        ModelFileError: The file cannot be read, or is none of these.
+
+    Example:
+        >>> import labhil as lh
+        >>> fit = lh.load("examples/fit.json")
+        >>> print(fit.parameters["coulomb_friction.level"])
+        coulomb_friction.level = 0.089918 ± 0.00025 N
+    """
+    file = path_of(path, "path")
+    try:
+        content = file.read_bytes()
+    except OSError as error:
+        raise ModelFileError(
+            f"{file}: expected the JSON of a result, cannot be read: {error.strerror}"
+        ) from error
+    data = json_of(content, str(file))
+    schema = data.get("schema") if isinstance(data, dict) else None
+    kind = KINDS.get(str(schema))
+    if kind is None:
+        raise ModelFileError(
+            f"{file}: expected a result of schema {', '.join(KINDS)}, found {schema or 'no schema'!r:.80}"
+        )
+    return kind(data, name=str(file))

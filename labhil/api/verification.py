@@ -1,0 +1,195 @@
+"""Holding a recording against an accepted model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from labhil.analysis.schema import ChannelVerdict, Source, ValueChange, VerificationPart, checked
+from labhil.api.inputs import (
+    PathLike,
+    Progress,
+    number_of,
+    path_of,
+    reference_of,
+    rig_file,
+    taken_of,
+    telling,
+)
+from labhil.api.render import data_frame
+from labhil.api.result import Result
+from labhil.errors import UsageError
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from labhil.api.diagnosis import Diagnosis
+    from labhil.api.fit import Fit
+    from labhil.api.model import Model
+    from labhil.api.recording import Recording
+    from labhil.rig import RigFile
+
+
+class Verification(Result):
+    """Whether a recording contradicts a model. Made by :func:`labhil.verify` and :func:`labhil.load`;
+    immutable.
+
+    ``print(it)`` is the report of ``labhil verify``.
+
+    Example:
+        >>> import labhil as lh
+        >>> found = lh.verify("recordings/ball_beam_test.mcap", "examples/fit.json")
+        >>> found.contradicted, found.reasons
+        (False, ())
+    """
+
+    def __init__(self, data: Mapping[str, Any], name: str = "the verification") -> None:
+        super().__init__(data, name)
+        self._part = checked(VerificationPart, data, name)
+
+    @property
+    def part(self) -> VerificationPart:
+        """All that the JSON says, with types."""
+        return self._part
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether the recording contradicts the model."""
+        return not self._part.consistent
+
+    @property
+    def p_value(self) -> float | None:
+        """Probability of a recording as far off as this one, if the model were right."""
+        return self._part.p_value
+
+    @property
+    def alpha(self) -> float:
+        """Probability that a recording of the model itself is refused."""
+        return self._part.alpha
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """What contradicts the model, a sentence each."""
+        return self._part.reasons
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the answer had to do without, a sentence each."""
+        return self._part.notes
+
+    @property
+    def channels(self) -> tuple[ChannelVerdict, ...]:
+        """Each output against the model: RMSE, noise floor, their ratio and its limit."""
+        return self._part.channels
+
+    @property
+    def changes(self) -> tuple[ValueChange, ...]:
+        """Each parameter as accepted and as this recording would have it."""
+        return self._part.parameters
+
+    @property
+    def recordings(self) -> tuple[Source, ...]:
+        """The recording that was held against the model."""
+        return self._part.recordings
+
+    def __repr__(self) -> str:
+        verdict = "contradicted" if self.contradicted else "consistent"
+        return f"<Verification: {verdict}, p = {self.p_value}>"
+
+    def _renderables(self) -> Sequence[RenderableType]:
+        from labhil.report.verification import verification_text
+
+        return [verification_text(self._part)]
+
+    def report(self, path: PathLike) -> Path:
+        """Write one HTML page about it, complete in itself.
+
+        Args:
+            path: The file to write.
+
+        Returns:
+            The path.
+
+        Raises:
+            UsageError: It cannot be written there.
+        """
+        from labhil.report.html.page import write_page
+        from labhil.report.html.study import foot_of
+        from labhil.report.html.verification import verification_page
+
+        file = path_of(path, "path")
+        write_page(verification_page(self._part, foot_of(self._part)), file)
+        return file
+
+    def to_pandas(self) -> Any:
+        """The parameters, accepted and refitted, as a pandas DataFrame.
+
+        Raises:
+            MissingExtraError: pandas is not installed.
+        """
+        names = ("before", "after", "unit", "std_error", "z", "p_value", "changed")
+        columns = {name: [getattr(row, name) for row in self.changes] for name in names}
+        return data_frame(columns, index=[row.name for row in self.changes], index_name="parameter")
+
+
+def verify(
+    rec: PathLike | Recording,
+    accepted: Fit | Diagnosis | PathLike,
+    model: PathLike | Model | RigFile | None = None,
+    *,
+    alpha: float = 1e-3,
+    device: str | None = None,
+    run: int | None = None,
+    progress: Progress = None,
+    warn: Callable[[Iterable[str]], object] | None = None,
+) -> Verification:
+    """Hold a recording against an accepted model: a gate for simulations.
+
+    Asks whether the simulation with the values as they are is worse than noise and the values' own errors
+    explain, whether the refitted model leaves residuals that go with the input, and whether refitted values
+    differ.
+
+    Args:
+        rec: A recording or its path.
+        accepted: The accepted model: a fit or a diagnosis, or its file.
+        model: A rig kind, the path of a rig file, or what :func:`labhil.model` made; the rig file that the
+            recording carries when absent.
+        alpha: Probability that a recording of the model itself is refused.
+        device: Which device, where the recording holds several.
+        run: Which run, from 1, where the file holds several.
+        progress: A function that is told what is being done, or True for a line on stderr.
+        warn: A function that is told what the recording lacks, as lines.
+
+    Returns:
+        The verification; :attr:`Verification.contradicted` is the answer.
+
+    Raises:
+        UsageError: The recording is too short or of another rig, or the accepted model is none.
+
+    Example:
+        >>> import labhil as lh
+        >>> lh.verify("recordings/ball_beam_test.mcap", "examples/fit.json").contradicted
+        False
+    """
+    from labhil.analysis.verification import verify_study
+
+    reference = reference_of(accepted, "accepted")
+    if reference is None:
+        raise UsageError("accepted: expected a fit or a diagnosis, or its file, found None")
+    taken = taken_of(rec, "rec")
+    if len(taken) != 1:
+        raise UsageError(f"rec: expected one recording, found {len(taken)}")
+    with telling(progress) as say:
+        found = verify_study(
+            taken[0],
+            reference,
+            rig_file(model),
+            alpha=number_of(alpha, "alpha"),
+            device=device,
+            run=run,
+            progress=say,
+        )
+    if warn is not None:
+        warn(found.losses)
+    return Verification(found.json)

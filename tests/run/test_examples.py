@@ -1,0 +1,53 @@
+"""The scripts under examples/, and the code of docs/python.md, run as they stand."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+SCRIPTS = sorted(path.name for path in (ROOT / "examples").glob("*.py"))
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A folder in which the shipped files stand where the scripts look for them."""
+    for name in ("recordings", "examples"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    return tmp_path
+
+
+def run(*arguments, folder):
+    return subprocess.run(
+        [sys.executable, "-P", *arguments], cwd=folder, capture_output=True, text=True, check=False
+    )
+
+
+def test_there_are_examples_and_the_readme_names_each():
+    assert len(SCRIPTS) >= 3
+    told = (ROOT / "examples" / "README.md").read_text(encoding="utf-8")
+    assert all(f"[{name}]({name})" in told for name in SCRIPTS)
+
+
+@pytest.mark.extended
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_the_script_runs(name, folder):
+    done = run(f"examples/{name}", folder=folder)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout
+
+
+@pytest.mark.extended
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("page", ["docs/python.md", "README.md"])
+def test_the_code_of_the_page_runs(page, folder):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    code = "\n".join(re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE))
+    assert "import labhil as lh" in code
+    done = run("-c", code, folder=folder)
+    assert done.returncode == 0, f"{code}\n{done.stderr}"
