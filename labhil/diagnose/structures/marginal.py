@@ -38,11 +38,10 @@ class Disturbance:
     weight: FloatArray
 
     @classmethod
-    def grid(cls, sizes: tuple[float, ...] = (0.0, 0.3, 1.0, 3.0, 10.0)) -> Disturbance:
-        """Half of the prior on none, the other half evenly on the rest."""
-        weight = np.full(len(sizes), 0.5 / max(len(sizes) - 1, 1))
-        weight[0] = 0.5
-        return cls(np.array(sizes), weight / weight.sum())
+    def grid(cls, candidates: int, sizes: tuple[float, ...] = (0.3, 1.0, 3.0, 10.0)) -> Disturbance:
+        """A disturbance is as likely as one more of so many ``candidates``, and of any size alike."""
+        some = 0.5 / (candidates + 1)
+        return cls(np.r_[0.0, sizes], np.r_[1.0 - some, np.full(len(sizes), some / len(sizes))])
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,14 +49,15 @@ class Grams:
     """Inner products of target and responses under every τ, the baseline's responses taken out.
 
     ``seen`` (T, m, m) has the target first and all responses after it; ``raw`` (m, m) is the same without
-    disturbance and before the baseline's responses are taken out: it sizes the prior. ``log_weight`` (T,) are
-    the logarithms of the prior of τ and of what does not depend on the structure. ``samples`` is how many
+    disturbance and before the baseline's responses are taken out: it sizes the prior. ``log_prior`` (T,) is
+    that of τ; ``log_weight`` (T,) has in it also what does not depend on the structure. ``samples`` is how many
     rows there are, ``dof`` how many independent ones are left.
     """
 
     seen: FloatArray
     raw: FloatArray
     log_weight: FloatArray
+    log_prior: FloatArray
     samples: int
     dof: float
 
@@ -102,7 +102,14 @@ def grams(
             - 0.5 * float(np.linalg.slogdet(inner)[1])
             - float(np.sum(np.log(scale)))
         )  # fmt: skip
-    return Grams(np.array(seen), plain[np.ix_(kept, kept)], np.array(logs), len(matrix), dof - baseline)
+    return Grams(
+        np.array(seen),
+        plain[np.ix_(kept, kept)],
+        np.array(logs),
+        np.log(disturbance.weight),
+        len(matrix),
+        dof - baseline,
+    )
 
 
 KAPPA = np.array([0.3, 1.0, 3.0, 10.0, 30.0, 100.0])
@@ -125,7 +132,7 @@ class Batch:
     positive: np.ndarray
 
 
-def log_evidence(grams: Grams, batch: Batch) -> tuple[FloatArray, FloatArray]:
+def log_evidence(grams: Grams, batch: Batch) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Evidence of structures, τ summed out, and the posterior means of their sizes under the likeliest τ.
 
     Args:
@@ -133,7 +140,8 @@ def log_evidence(grams: Grams, batch: Batch) -> tuple[FloatArray, FloatArray]:
         batch: S structures of k responses.
 
     Returns:
-        Logarithms (S,), up to a constant that all structures share, and sizes (S, k).
+        Logarithms (S,), up to a constant that all structures share; the same without a disturbance (S,), its
+        prior left out; and sizes (S, k).
     """
     raw = _gathered(grams.raw, batch.columns)
     logs, sizes = zip(*(_under(grams, t, raw, batch) for t in range(len(grams.log_weight))), strict=True)
@@ -141,7 +149,7 @@ def log_evidence(grams: Grams, batch: Batch) -> tuple[FloatArray, FloatArray]:
     best = np.argmax(every, axis=0)
     highest = every.max(axis=0)
     total = highest + np.log(np.sum(np.exp(every - highest), axis=0))
-    return total, np.array(sizes)[best, np.arange(len(best))]
+    return total, every[0] - grams.log_prior[0], np.array(sizes)[best, np.arange(len(best))]
 
 
 def _under(grams: Grams, t: int, raw: FloatArray, batch: Batch) -> tuple[FloatArray, FloatArray]:

@@ -22,8 +22,12 @@ from labhil.physics.model import index_of, terms_named
 from labhil.physics.terms import Parameter
 from labhil.signals import FloatArray
 
-MODES, CORNER = 12, 2.0
-"""Cosines of the disturbance in each window, and the one from which their amplitude falls as 1/k²."""
+FASTEST, CORNER = 4.0, 0.67
+"""Cycles per scored horizon up to which a disturbance is modelled, and those from which its amplitude falls
+with the square of the frequency, as the response of a second-order plant to a random force does."""
+
+FEWEST_MODES = 3
+"""Cosines in a window, however short it is."""
 
 WANTED, LARGER = 1.5, 4.5
 """Noise levels of the response by which a size is stepped, and of a second step where that is not
@@ -137,7 +141,8 @@ def responses(
         keys, unit, shape, positive = (tuple(f) for f in fields)
         placed.setdefault(way.term, []).append(Variant(way.term, first, keys, unit, shape, positive, way.at))
         first += len(keys)
-    seen = _inner_products(problem, lin, matrix, len(shared), correlation)
+    disturbance = Disturbance.grid(len(data.model.terms) - len(baseline))
+    seen = _inner_products(problem, lin, matrix, len(shared), correlation, disturbance)
     return Responses(fitted, seen, {term: tuple(of) for term, of in placed.items()})
 
 
@@ -261,7 +266,12 @@ def _proportional(tried: Mapping[float, tuple[float, FloatArray]]) -> bool:
 
 
 def _inner_products(
-    problem: Problem, lin: Linearised, matrix: FloatArray, baseline: int, correlation: FloatArray
+    problem: Problem,
+    lin: Linearised,
+    matrix: FloatArray,
+    baseline: int,
+    correlation: FloatArray,
+    disturbance: Disturbance,
 ) -> Grams:
     """Of whitened columns, the windows' states taken out, under every size of the disturbance."""
     white = replace(lin, by_states=whitened(problem, lin.by_states, correlation))
@@ -271,7 +281,7 @@ def _inner_products(
     rho = float(np.mean(correlation))
     telling = min(1.0, problem.telling * (1.0 + rho) / (1.0 - rho))
     dof = len(matrix) * telling - lin.by_states.shape[1] * len(problem.edges)
-    return grams(seen, baseline, products, strength, max(dof, 10.0), Disturbance.grid())
+    return grams(seen, baseline, products, strength, max(dof, 10.0), disturbance)
 
 
 def whitened(problem: Problem, columns: FloatArray, correlation: FloatArray) -> FloatArray:
@@ -292,9 +302,10 @@ def _modes(problem: Problem, white: Linearised, correlation: FloatArray) -> tupl
         return np.empty((len(problem.owner), 0)), np.empty(0)
     channels = len(problem.sigma)
     edges = np.append(problem.edges, len(problem.owner)) // channels
-    cosines = np.empty((len(problem.owner), MODES * channels))
-    k = np.arange(MODES)
-    amplitude = 1.0 / np.sqrt(1.0 + (k / CORNER) ** 4)
+    window = float(np.max(np.diff(edges))) * problem.record.period / problem.model.horizon
+    k = np.arange(max(int(np.ceil(2.0 * FASTEST * window)), FEWEST_MODES))
+    cosines = np.empty((len(problem.owner), len(k) * channels))
+    amplitude = 1.0 / np.sqrt(1.0 + (k / (2.0 * CORNER * window)) ** 4)
     for first, last in pairwise(edges):
         t = (np.arange(last - first) + 0.5) / (last - first)
         shapes = np.cos(np.pi * k * t[:, None]) * amplitude

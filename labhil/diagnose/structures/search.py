@@ -13,13 +13,19 @@ from labhil.diagnose.evidence import Evidence
 from labhil.diagnose.found import Found, Rival, Step
 from labhil.diagnose.judge import Data
 from labhil.diagnose.screen import Progress, candidates
-from labhil.diagnose.structures.enumerate import Enumeration, Predicted, Structure
-from labhil.diagnose.structures.responses import Responses, responses
+from labhil.diagnose.structures.enumerate import Choice, Enumeration, Predicted, Structure
+from labhil.diagnose.structures.responses import responses
 from labhil.identify.fitted import Fitted, fit_terms
 from labhil.identify.noise import lasting_noise
+from labhil.identify.problem import Problem
 from labhil.identify.waves import starts_beside
-from labhil.physics.model import index_of
+from labhil.identify.window_states import grow_states
+from labhil.identify.windows import fit_windows
+from labhil.physics.model import Model
 from labhil.signals import FloatArray
+
+FIRST_GROWN = 0.375
+"""Scored horizons of a window on which its initial state is found first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +40,7 @@ class Options:
         claim: odds (nats) that the best structure needs over the one without a term.
     """
 
-    horizons: tuple[float, ...] = (0.375, 1.5)
+    horizons: tuple[float, ...] = (0.375, 1.5, 3.0)
     rounds: int = 5
     refits: int = 3
     margin: float = 5.0
@@ -47,7 +53,9 @@ class Refitted:
 
     fitted: Fitted
     log_evidence: float
-    responses: Responses
+    undisturbed: float
+    choice: Choice
+    view: Enumeration
 
 
 @dataclass(slots=True)
@@ -110,12 +118,15 @@ class StructureSearch:
 
     def _refit_promising(self, state: SearchState) -> bool:
         """Refit the most promising structures that were not refitted yet; whether there were any."""
-        top = state.refitted[state.best].log_evidence
+        likely = max(r.log_evidence for r in state.refitted.values())
+        plain = max(r.undisturbed for r in state.refitted.values())
         waiting = [
             p for s, p in state.predicted.items()
-            if s not in state.refitted and p.log_evidence > top - self.options.margin
+            if s not in state.refitted
+            and (p.log_evidence > likely - self.options.margin or p.undisturbed > plain - self.options.margin)
         ]  # fmt: skip
-        waiting = sorted(waiting, key=lambda p: -p.log_evidence)[: self.options.refits]
+        waiting = sorted(waiting, key=lambda p: -max(p.log_evidence - likely, p.undisturbed - plain))
+        waiting = waiting[: self.options.refits]
         for predicted in waiting:
             self.progress(f"refitting {', '.join(sorted(predicted.structure)) or 'the baseline'}")
             self._enter(state, self._refit(state, predicted))
@@ -146,7 +157,8 @@ class StructureSearch:
         seen = responses(self.data, fitted, self.baseline, self.correlation, self.executor, absent=())
         own = Enumeration(self.data.model, seen, self._base, self._candidates)
         choice = tuple(seen.variants[t][0] for t in fitted.terms if t in structure and t in seen.variants)
-        state.refitted[structure] = Refitted(fitted, own.evaluate([choice])[0].log_evidence, seen)
+        stands = own.evaluate([choice])[0]
+        state.refitted[structure] = Refitted(fitted, stands.log_evidence, stands.undisturbed, choice, own)
 
 
 def search_structures(
@@ -175,12 +187,16 @@ def search_structures(
 
 
 def _on_windows(data: Data, fitted: Fitted) -> Fitted:
-    """Refit on the data's windows."""
+    """Refit on the data's windows, beginning at states that fit these with the parameters as they are."""
     if abs(fitted.window - data.window) < 1e-9:
         return fitted
+    old = fitted.problem
+    windows = fit_windows(data.search, data.window)
+    problem = Problem(old.model, data.search, windows, old.free, fitted.theta, old.sigma)
+    states = grow_states(problem, fitted.solution.point.z, FIRST_GROWN * data.model.horizon)
     return fit_terms(
         data.model, data.search, fitted.terms, data.window, data.sigma, start=fitted.theta, new_terms=(),
-        iterations=25, tolerance=1e-4, held=data.held,
+        states=states, iterations=25, tolerance=1e-4, held=data.held,
     )  # fmt: skip
 
 
@@ -189,26 +205,36 @@ def _concluded(
 ) -> Found:
     """The best structure with its rivals; nothing where the data do not speak for it."""
     base = state.refitted[frozenset()].fitted
-    known = state.log_evidence()
     best = state.best
     fitted = state.refitted[best].fitted
-    steps = []
-    places = index_of(data.model.parameters)
-    for term in sorted(best):
-        if any(term in data.model.terms[t].with_terms for t in best):
-            own = [places[p.key] for p in data.model.terms[term].parameters if not p.shape]
-            if np.all(fitted.theta[own] == 0.0):
-                continue
-        left = frozenset(t for t in best if t != term and term not in data.model.terms[t].with_terms)
-        odds = known[best] - known.get(left, min(known.values()))
-        if odds > options.claim:
-            steps.append(
-                Step((term,), Evidence(-2.0 * odds, float(np.exp(-odds)), odds), float(np.exp(-odds)), True)
-            )
+    claims = {term: log_odds(data.model, state, term) for term in best}
+    steps = [_step(term, odds) for term, odds in claims.items() if odds > options.claim]
     steps.sort(key=lambda s: s.evidence.delta_bic)
+    known = state.log_evidence()
     p_value = float(np.exp(min(known[frozenset()] - known[best], 0.0)))
     found = Found(base, fitted, tuple(steps), _rivals(state, best), p_value, looks)
     return found.ending(fitted, tuple(steps))
+
+
+def _step(term: str, odds: float) -> Step:
+    against = float(np.exp(-odds))
+    return Step((term,), Evidence(-2.0 * odds, against, odds), against, True)
+
+
+def log_odds(model: Model, state: SearchState, term: str) -> float:
+    """Return the log odds that the best structure needs a term, whatever else builds on it.
+
+    Against the likeliest way to do without: as the best structure's own linearisation predicts it, or as it
+    was refitted.
+    """
+    best = state.best
+    own = state.refitted[best]
+    alone = [v for v in own.choice if v.term != term]
+    without = own.view.evaluate([tuple(alone)])[0].log_evidence
+    carriers = {t for t in best if term in model.terms[t].with_terms}
+    if not carriers:
+        without = max(without, state.log_evidence().get(best - {term}, -np.inf))
+    return own.log_evidence - without
 
 
 def _rivals(state: SearchState, best: Structure) -> tuple[Rival, ...]:
