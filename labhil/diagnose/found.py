@@ -17,13 +17,15 @@ BETTER = 1e-3
 class Step:
     """One accepted addition with its evidence; ``p_search`` is corrected for all candidates looked at.
 
-    ``told``: it explains enough to be worth telling, and a size of it is told from zero.
+    ``told``: it explains enough to be worth telling, and a size of it is told from zero. ``probability`` is
+    that of all likely structures that have it, where these were compared.
     """
 
     terms: tuple[str, ...]
     evidence: Evidence
     p_search: float
     told: bool
+    probability: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +38,7 @@ class Rival:
     term: str
     instead_of: str
     delta_bic: float
+    probability: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -63,7 +63,7 @@ def log_prior(model: Model, structure: Structure, candidates: int) -> float:
     Every number of terms is half as likely as one less, and all structures of one number are alike (Chen and
     Chen 2008, extended BIC with γ = 1). What others build on comes with them and is not counted.
     """
-    carried = {t for term in structure for t in model.terms[term].with_terms}
+    carried = {t for term in structure if term in model.terms for t in model.terms[term].with_terms}
     count = len(structure - carried)
     return -count * log(2.0) - log(comb(max(candidates, count), count))
 

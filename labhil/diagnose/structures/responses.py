@@ -15,6 +15,7 @@ import numpy as np
 
 from labhil.diagnose.judge import Data
 from labhil.diagnose.structures.marginal import Disturbance, Grams, grams
+from labhil.identify.extended import ExtendedModel
 from labhil.identify.fitted import Fitted
 from labhil.identify.problem import Linearised, Problem
 from labhil.identify.waves import starts_beside
@@ -35,6 +36,9 @@ proportional."""
 
 PROPORTIONAL = 0.3
 """Relative difference from a proportional response from which a term counts as one with a threshold."""
+
+SMOOTHNESS = (1e-2, 1.0, 1e2)
+"""Weights of a curve's roughness in its prior, over one that lets each coefficient be what it likes."""
 
 TRIES = 5
 """Simulations that may go into finding the step of one size."""
@@ -64,6 +68,18 @@ class Variant:
 
 
 @dataclass(frozen=True, slots=True)
+class CurveColumns:
+    """What each coefficient of a force over one coordinate changes in the residuals, (N·c, K).
+
+    ``roughness`` (K, K) is ∫ f″² as a form of the coefficients.
+    """
+
+    name: str
+    columns: FloatArray
+    roughness: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
 class Responses:
     """Responses of all terms beside a fit: their inner products, and the variants of each term by its key."""
 
@@ -80,9 +96,10 @@ class Responses:
             values |= variant.at
             for key, unit, shape in zip(variant.keys, variant.unit, variant.shape, strict=True):
                 value = coefficients[start] * unit + (variant.at[key] if shape else 0.0)
-                parameter = parameters[key]
-                values[key] = float(np.clip(value, parameter.lower, parameter.upper))
                 start += 1
+                if key in parameters:  # coefficients of a curve are none of the model's
+                    parameter = parameters[key]
+                    values[key] = float(np.clip(value, parameter.lower, parameter.upper))
         return values
 
 
@@ -97,11 +114,12 @@ class _Column:
 
 @dataclass(frozen=True, slots=True)
 class _Way:
-    """A variant before its place is known."""
+    """A variant before its place is known; ``precision`` (k, k) of its sizes, up to a factor, or None."""
 
     term: str
     at: Mapping[str, float]
     columns: tuple[_Column, ...]
+    precision: FloatArray | None = None
 
 
 def responses(
@@ -111,6 +129,7 @@ def responses(
     correlation: FloatArray,
     executor: Executor | None,
     absent: Sequence[str] | None = None,
+    curves: Sequence[CurveColumns] = (),
 ) -> Responses:
     """Take the responses of all terms where a fit stands.
 
@@ -121,29 +140,58 @@ def responses(
         correlation: (c,) of the noise of neighbouring samples of each output.
         executor: runs simulations side by side.
         absent: keys of the terms that may be added; None for all that the model has.
+        curves: forces over one coordinate each, which may be added too.
     """
     problem, solution = fitted.problem, fitted.solution
     lin = problem.linearise(solution.point, solution.residuals)
-    found = [term for term in fitted.terms if term not in baseline]
     own = [problem.model.parameters[i].term for i in problem.free]
-    shared = [j for j, term in enumerate(own) if term not in found]
-    ways = [_present(problem, fitted, lin, term) for term in found]
-    target = solution.residuals - _explained(fitted, ways)
+    shared = [j for j, term in enumerate(own) if term is None or term in baseline]
+    present = [
+        _present(problem, fitted, lin, term) for term in dict.fromkeys(own) if term and term not in baseline
+    ]
+    target = solution.residuals - _explained(fitted, present)
+    ways = [way for term in present for way in _as_curve(problem, term)]
     others = [key for key in data.model.terms if key not in fitted.terms] if absent is None else absent
     mapped = map if executor is None else executor.map
     for each in mapped(lambda key: _absent(problem, fitted, lin, key), others):
         ways += each
-    columns = [c.values for way in ways for c in way.columns]
-    matrix = np.column_stack([target, lin.by_parameters[:, shared], *columns])
+    for curve in curves:
+        columns = tuple(_Column("", 1.0, False, False, column) for column in curve.columns.T)
+        ways += _smooth(_Way(curve.name, {}, columns), curve.roughness)
+    every = [c.values for way in ways for c in way.columns]
+    matrix = np.column_stack([target, lin.by_parameters[:, shared], *every])
     placed, first = dict[str, list[Variant]](), 1
+    priors = []
     for way in ways:
         fields = zip(*((c.key, c.unit, c.shape, c.positive) for c in way.columns), strict=True)
         keys, unit, shape, positive = (tuple(f) for f in fields)
         placed.setdefault(way.term, []).append(Variant(way.term, first, keys, unit, shape, positive, way.at))
         first += len(keys)
+        priors.append(way.precision)
     disturbance = Disturbance.grid(len(data.model.terms) - len(baseline))
-    seen = _inner_products(problem, lin, matrix, len(shared), correlation, disturbance)
+    plain = _inner_products(problem, lin, matrix, len(shared), correlation, disturbance)
+    seen = plain.with_precisions([(v.places, prior) for v, prior in zip(_flat(placed), priors, strict=True)])
     return Responses(fitted, seen, {term: tuple(of) for term, of in placed.items()})
+
+
+def _flat(placed: Mapping[str, Sequence[Variant]]) -> list[Variant]:
+    """All variants in the order of their places."""
+    return sorted((v for of in placed.values() for v in of), key=lambda v: v.first)
+
+
+def _as_curve(problem: Problem, way: _Way) -> list[_Way]:
+    """A term as it is, or a curve with each of its smoothnesses."""
+    model = problem.model
+    if isinstance(model, ExtendedModel) and way.columns[0].key == model.coefficients[0].key:
+        return _smooth(way, model.spline.roughness)
+    return [way]
+
+
+def _smooth(way: _Way, roughness: FloatArray) -> list[_Way]:
+    """A curve with each of the smoothnesses that the prior holds possible."""
+    count = len(way.columns)
+    rough = roughness * (count / float(np.trace(roughness)))
+    return [replace(way, precision=weight * rough + np.eye(count)) for weight in SMOOTHNESS]
 
 
 def _explained(fitted: Fitted, ways: Sequence[_Way]) -> FloatArray:

@@ -175,7 +175,7 @@ def search_structures(
             window = min(horizons * model.horizon, data.search.longest)
             if model.state_names:
                 stage = replace(data, window=window)
-                begin = [_on_windows(stage, fitted) for fitted in begin]
+                begin = [on_windows(stage, fitted) for fitted in begin]
             search = StructureSearch(stage, baseline.terms, correlation, executor, progress, options)
             state = search.run(begin)
             leading = sorted(state.refitted.values(), key=lambda r: -r.log_evidence)[:3]
@@ -186,7 +186,7 @@ def search_structures(
     return _concluded(stage, state, baseline.terms, options, search._candidates)
 
 
-def _on_windows(data: Data, fitted: Fitted) -> Fitted:
+def on_windows(data: Data, fitted: Fitted) -> Fitted:
     """Refit on the data's windows, beginning at states that fit these with the parameters as they are."""
     if abs(fitted.window - data.window) < 1e-9:
         return fitted
@@ -208,7 +208,8 @@ def _concluded(
     best = state.best
     fitted = state.refitted[best].fitted
     claims = {term: log_odds(data.model, state, term) for term in best}
-    steps = [_step(term, odds) for term, odds in claims.items() if odds > options.claim]
+    shares = inclusion(state)
+    steps = [_step(term, odds, shares[term]) for term, odds in claims.items() if odds > options.claim]
     steps.sort(key=lambda s: s.evidence.delta_bic)
     known = state.log_evidence()
     p_value = float(np.exp(min(known[frozenset()] - known[best], 0.0)))
@@ -216,9 +217,22 @@ def _concluded(
     return found.ending(fitted, tuple(steps))
 
 
-def _step(term: str, odds: float) -> Step:
+def _step(term: str, odds: float, probability: float) -> Step:
     against = float(np.exp(-odds))
-    return Step((term,), Evidence(-2.0 * odds, against, odds), against, True)
+    return Step((term,), Evidence(-2.0 * odds, against, odds), against, True, probability)
+
+
+def inclusion(state: SearchState) -> dict[str, float]:
+    """Return the posterior probability of every term: of all visited structures that have it."""
+    known = state.log_evidence()
+    structures, logs = list(known), np.array(list(known.values()))
+    weights = np.exp(logs - logs.max())
+    weights /= weights.sum()
+    found: dict[str, float] = {}
+    for structure, weight in zip(structures, weights.tolist(), strict=True):
+        for term in structure:
+            found[term] = found.get(term, 0.0) + weight
+    return found
 
 
 def log_odds(model: Model, state: SearchState, term: str) -> float:
@@ -239,9 +253,10 @@ def log_odds(model: Model, state: SearchState, term: str) -> float:
 
 def _rivals(state: SearchState, best: Structure) -> tuple[Rival, ...]:
     """Structures that have another term in the place of one, within 5 nats."""
-    known, found = state.log_evidence(), []
+    known, found, shares = state.log_evidence(), [], inclusion(state)
     for structure, value in known.items():
         gone, new = best - structure, structure - best
         if len(gone) == 1 and len(new) == 1 and known[best] - value < 5.0:
-            found.append(Rival(next(iter(new)), next(iter(gone)), 2.0 * (known[best] - value)))
+            rival = next(iter(new))
+            found.append(Rival(rival, next(iter(gone)), 2.0 * (known[best] - value), shares[rival]))
     return tuple(sorted(found, key=lambda r: r.delta_bic))
