@@ -67,7 +67,7 @@ def diagnose(
     accepted: Accepted | None = None,
     measured: Record | None = None,
     progress: Callable[[str], None] = lambda text: None,
-    method: str = SEARCH,
+    method: str = EVIDENCE,
 ) -> Diagnosis:
     """Find what ``baseline`` lacks on ``searched``, judged on ``held_out``.
 
@@ -245,7 +245,8 @@ def _looked_wider(
     these still ask for it.
     """
     left = left_by(data, found.final)
-    shown = unexplained(data, left[1]) or _marked(data, found).excess > SHOWN
+    explained = found.curve is not None
+    shown = not explained and (unexplained(data, left[1]) or _marked(data, found).excess > SHOWN)
     parts = searched_and_kept(data) if shown else None
     if parts is None:
         return data, found, left

@@ -26,6 +26,7 @@ from labhil.diagnose.curve import (
     shortened,
 )
 from labhil.diagnose.evidence import Evidence, bic, effective_samples, heldout_gain
+from labhil.diagnose.found import FittedCurve
 from labhil.diagnose.judge import TRUSTED, Data, supported
 from labhil.diagnose.rest import STANDS_IN
 from labhil.identify.extended import NAME, Coordinate, ExtendedModel
@@ -140,11 +141,13 @@ def unmodelled(data: Data, final: Fitted, part: MovedPart) -> Unmodelled | None:
     return None if found.share < STANDS_IN else found
 
 
-def stated(data: Data, final: Fitted, chosen: Curved, log_odds: float) -> Unmodelled:
-    """A curve that evidence chose beside a fit, as the answer states it; ``log_odds`` are those of it."""
-    judged = data.judge(final.theta)[0]
-    evidence = replace(_evidence(data, final, judged, chosen), delta_bic=-2.0 * log_odds)
-    return replace(_answer(data, final, chosen, evidence), probability=1.0 / (1.0 + np.exp(-log_odds)))
+def stated(data: Data, curve: FittedCurve) -> Unmodelled:
+    """A curve that evidence chose, as the answer states it."""
+    beside, odds = curve.beside, curve.log_odds
+    judged = data.judge(beside.theta)[0]
+    evidence = replace(_evidence(data, beside, judged, curve.curved), delta_bic=-2.0 * odds)
+    answer = _answer(data, beside, curve.curved, evidence)
+    return replace(answer, probability=float(1.0 / (1.0 + np.exp(-odds))))
 
 
 def with_placed(final: Fitted) -> list[Fitted]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from labhil.diagnose.answer import Diagnosis
-from labhil.diagnose.diagnosis import SEARCH, diagnose
+from labhil.diagnose.diagnosis import EVIDENCE, diagnose
 from labhil.errors import UnknownNameError, UsageError
 from labhil.identify.fit import Fit, Options, fit
 from labhil.identify.further_channels import with_help
@@ -105,7 +105,7 @@ def diagnose_study(
     baseline: Sequence[str] | None = None,
     reference: Path | None = None,
     progress: Progress = lambda text: None,
-    method: str = SEARCH,
+    method: str = EVIDENCE,
 ) -> DiagnosisResult:
     """Diagnose; ``reference`` is a fit file that stands for the user's simulation, like ``[nominal]``.
 

@@ -12,11 +12,12 @@ from itertools import combinations
 
 import numpy as np
 
-from labhil.diagnose.curve import Curved, begun, gauged, glance, refined, with_spline
+from labhil.diagnose.curve import begun, gauged, glance, refined, with_spline
+from labhil.diagnose.found import FittedCurve
 from labhil.diagnose.judge import Data
 from labhil.diagnose.structures.enumerate import Choice, Enumeration, Structure
 from labhil.diagnose.structures.responses import CurveColumns, responses
-from labhil.diagnose.unmodelled import given_coordinates, motion_coordinates
+from labhil.diagnose.unmodelled import given_coordinates, motion_coordinates, with_placed
 from labhil.identify.extended import NAME, Coordinate
 from labhil.identify.fitted import Fitted, fit_terms
 from labhil.physics.extra_force import MovedPart, Yielding
@@ -54,15 +55,6 @@ class CurveChoice:
 
 
 @dataclass(frozen=True, slots=True)
-class FittedCurve:
-    """A curve as it was refitted beside some terms, and the log odds over the named structure there."""
-
-    curved: Curved
-    beside: Fitted
-    log_odds: float
-
-
-@dataclass(frozen=True, slots=True)
 class CurveSearch:
     """A search for a force over one coordinate, in the place of named forces or beside them.
 
@@ -75,8 +67,18 @@ class CurveSearch:
     correlation: FloatArray
     options: CurveOptions = CurveOptions()
 
-    def run(self, fitted: Fitted, part: MovedPart) -> FittedCurve | None:
-        """Return the likeliest curve on a part, or None where the named structure of a fit is likelier."""
+    def run(self, fitted: Fitted) -> FittedCurve | None:
+        """Return the likeliest curve on any part, or None where the named structure of a fit is likelier."""
+        best: FittedCurve | None = None
+        for begin in with_placed(fitted):
+            model = begin.problem.model
+            for part in model.moved if isinstance(model, Yielding) else ():
+                trial = self._on_part(begin, part)
+                if trial is not None and (best is None or trial.log_odds > best.log_odds):
+                    best = trial
+        return best
+
+    def _on_part(self, fitted: Fitted, part: MovedPart) -> FittedCurve | None:
         best: FittedCurve | None = None
         log_named, choices = self._choices(fitted, part)
         for choice in choices[: self.options.refits]:
@@ -107,7 +109,17 @@ class CurveSearch:
         for (coordinate, structure, _), value in zip(tried, logs, strict=True):
             best[coordinate, structure] = max(best.get((coordinate, structure), -np.inf), value)
         choices = [CurveChoice(*key, value - log_named) for key, value in best.items()]
-        return log_named, sorted(choices, key=lambda choice: -choice.log_odds)
+        return log_named, sorted(self._fewest_names(choices), key=lambda choice: -choice.log_odds)
+
+    def _fewest_names(self, choices: Sequence[CurveChoice]) -> list[CurveChoice]:
+        """Of each coordinate's choices the one with the fewest names of those that no claim tells apart."""
+        found = []
+        for coordinate in dict.fromkeys(choice.coordinate for choice in choices):
+            own = [choice for choice in choices if choice.coordinate == coordinate]
+            enough = max(choice.log_odds for choice in own) - self.options.claim
+            likely = [choice for choice in own if choice.log_odds > enough]
+            found.append(min(likely, key=lambda choice: (len(choice.beside), -choice.log_odds)))
+        return found
 
     def _view(self, fitted: Fitted, curves: Sequence[CurveColumns], coordinates: int) -> Enumeration:
         """What may be compared where a fit stands, a curve over one of so many coordinates among it."""

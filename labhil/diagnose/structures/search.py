@@ -13,6 +13,7 @@ from labhil.diagnose.evidence import Evidence
 from labhil.diagnose.found import Found, Rival, Step
 from labhil.diagnose.judge import Data
 from labhil.diagnose.screen import Progress, candidates
+from labhil.diagnose.structures.curves import CurveSearch
 from labhil.diagnose.structures.enumerate import Choice, Enumeration, Predicted, Structure
 from labhil.diagnose.structures.responses import responses
 from labhil.identify.fitted import Fitted, fit_terms
@@ -21,11 +22,16 @@ from labhil.identify.problem import Problem
 from labhil.identify.waves import starts_beside
 from labhil.identify.window_states import grow_states
 from labhil.identify.windows import fit_windows
+from labhil.physics.extra_force import Yielding
 from labhil.physics.model import Model
 from labhil.signals import FloatArray
 
 FIRST_GROWN = 0.375
 """Scored horizons of a window on which its initial state is found first."""
+
+
+CURVE_WINDOW = 1.5
+"""Scored horizons of the windows on which curves are weighed: on longer ones few are linear enough."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +44,8 @@ class Options:
         refits: structures that are refitted in each round, at most.
         margin: nats by which an enumerated structure may be behind the best to be refitted.
         claim: odds (nats) that the best structure needs over the one without a term.
+        few: terms beside the best structure's up to which one is refitted for what it promises where nothing
+            disturbs: from afar a linear response understates a term, but many of them stand in for anything.
     """
 
     horizons: tuple[float, ...] = (0.375, 1.5, 3.0)
@@ -45,6 +53,7 @@ class Options:
     refits: int = 3
     margin: float = 5.0
     claim: float = 5.0
+    few: int = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +101,8 @@ class StructureSearch:
         return frozenset(self.baseline)
 
     @property
-    def _candidates(self) -> int:
+    def candidates(self) -> int:
+        """How many terms may be added."""
         return len(candidates(self.data.model, self.baseline))
 
     def run(self, begin: Sequence[Fitted]) -> SearchState:
@@ -114,19 +124,21 @@ class StructureSearch:
     def _view(self, fitted: Fitted) -> Enumeration:
         self.progress(f"evidence of all structures beside {', '.join(fitted.terms)}")
         seen = responses(self.data, fitted, self.baseline, self.correlation, self.executor)
-        return Enumeration(self.data.model, seen, self._base, self._candidates)
+        return Enumeration(self.data.model, seen, self._base, self.candidates)
 
     def _refit_promising(self, state: SearchState) -> bool:
         """Refit the most promising structures that were not refitted yet; whether there were any."""
         likely = max(r.log_evidence for r in state.refitted.values())
         plain = max(r.undisturbed for r in state.refitted.values())
-        waiting = [
-            p for s, p in state.predicted.items()
-            if s not in state.refitted
-            and (p.log_evidence > likely - self.options.margin or p.undisturbed > plain - self.options.margin)
-        ]  # fmt: skip
-        waiting = sorted(waiting, key=lambda p: -max(p.log_evidence - likely, p.undisturbed - plain))
-        waiting = waiting[: self.options.refits]
+        most = len(state.best) + self.options.few
+
+        def promise(p: Predicted) -> float:
+            by_itself = p.undisturbed - plain if len(p.structure) <= most else -np.inf
+            return float(max(p.log_evidence - likely, by_itself))
+
+        new = [p for s, p in state.predicted.items() if s not in state.refitted]
+        promising = sorted((p for p in new if promise(p) > -self.options.margin), key=lambda p: -promise(p))
+        waiting = promising[: self.options.refits]
         for predicted in waiting:
             self.progress(f"refitting {', '.join(sorted(predicted.structure)) or 'the baseline'}")
             self._enter(state, self._refit(state, predicted))
@@ -155,7 +167,7 @@ class StructureSearch:
         if known is not None and known.fitted.solution.cost <= fitted.solution.cost:
             return
         seen = responses(self.data, fitted, self.baseline, self.correlation, self.executor, absent=())
-        own = Enumeration(self.data.model, seen, self._base, self._candidates)
+        own = Enumeration(self.data.model, seen, self._base, self.candidates)
         choice = tuple(seen.variants[t][0] for t in fitted.terms if t in structure and t in seen.variants)
         stands = own.evaluate([choice])[0]
         state.refitted[structure] = Refitted(fitted, stands.log_evidence, stands.undisturbed, choice, own)
@@ -183,7 +195,32 @@ def search_structures(
                 state.refitted[frozenset()].fitted,
                 *(r.fitted for r in leading if r.fitted.terms != baseline.terms),
             ]
-    return _concluded(stage, state, baseline.terms, options, search._candidates)
+    found = _concluded(stage, state, baseline.terms, options, search.candidates)
+    return _with_curve(data, found, correlation, progress)
+
+
+def _with_curve(data: Data, found: Found, correlation: FloatArray, progress: Progress) -> Found:
+    """What is named beside the likeliest curve, and that; all that is named where no curve is likelier."""
+    model = data.model
+    if not isinstance(model, Yielding) or not model.state_names:
+        return found
+    progress("a force over each coordinate in turn, instead of what is named and beside it")
+    shorter = replace(data, window=min(CURVE_WINDOW * model.horizon, data.search.longest))
+    curve = CurveSearch(shorter, found.baseline.terms, correlation).run(on_windows(shorter, found.final))
+    if curve is None:
+        return found
+    steps = tuple(step for step in found.missing if step.terms[0] in curve.beside.terms)
+    return replace(found.ending(_unplaced(shorter, curve.beside), steps), curve=curve)
+
+
+def _unplaced(data: Data, beside: Fitted) -> Fitted:
+    """The fit beside a curve, of the model that other results are of."""
+    if len(beside.problem.model.state_names) == len(data.model.state_names):
+        return beside
+    return fit_terms(
+        data.model, data.search, beside.terms, data.window, data.sigma, start=beside.theta, starts=[{}],
+        held=data.held,
+    )  # fmt: skip
 
 
 def on_windows(data: Data, fitted: Fitted) -> Fitted:
