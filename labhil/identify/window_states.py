@@ -31,6 +31,9 @@ ANGLE, ANGLES = "_angle", 16
 TRIALS = 12
 """States that are tried anew in every window when a fit settles."""
 
+FIRST_GROWN = 0.375
+"""Scored horizons of a long window on which its initial state is found first."""
+
 NEAR, FAR = 0.05, 0.5
 """How far from the best so far they begin, in scales of the state: two thirds near, one third far."""
 
@@ -188,7 +191,11 @@ def settled_states(problem: Problem, z: FloatArray, *, thorough: bool = True) ->
 
     ``thorough`` as in :func:`held_at`.
     """
-    found = _turned(problem, z, tried(problem, z, fit_states(problem, z, problem.guess)))
+    begun = tried(problem, z, fit_states(problem, z, problem.guess))
+    if problem.model.state_names and problem.record.longest > FIRST_GROWN * problem.model.horizon:
+        grown = grow_states(problem, z, FIRST_GROWN * problem.model.horizon)
+        begun = begun.or_better(problem, tried(problem, z, grown))
+    found = _turned(problem, z, begun)
     found = rescued_states(problem, z, found)
     return _searched(problem, z, found) if thorough and problem.model.state_names else found
 

@@ -44,7 +44,7 @@ class Disturbance:
     ) -> Disturbance:
         """A disturbance is as likely as one more of so many ``candidates``, and of any size alike."""
         some = 0.5 / (candidates + 1)
-        return cls(np.r_[0.0, sizes], np.r_[1.0 - some, np.full(len(sizes), some / len(sizes))])
+        return cls(np.r_[0.0, sizes], np.r_[1.0 - some, np.full(len(sizes), some / max(len(sizes), 1))])
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,9 +53,9 @@ class Grams:
 
     ``seen`` (T, m, m) has the target first and all responses after it; ``raw`` (m, m) is the same without
     disturbance and before the baseline's responses are taken out: it sizes the prior, whose ``precision``
-    (m, m) is that of responses of one noise level. ``log_prior`` (T,) is
-    that of τ; ``log_weight`` (T,) has in it also what does not depend on the structure. ``samples`` is how many
-    rows there are, ``dof`` how many independent ones are left.
+    (m, m) is that of responses of one noise level. ``log_prior`` (T,) is that of τ; ``log_weight`` (T,) has
+    in it also what does not depend on the structure. ``samples`` is how many rows there are, ``dof`` how many
+    independent ones are left.
     """
 
     seen: FloatArray

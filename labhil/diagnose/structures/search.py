@@ -16,19 +16,16 @@ from labhil.diagnose.screen import Progress, candidates
 from labhil.diagnose.structures.curves import CurveSearch
 from labhil.diagnose.structures.enumerate import Choice, Enumeration, Predicted, Structure
 from labhil.diagnose.structures.responses import responses
+from labhil.ending import EndedEarly, accept
 from labhil.identify.fitted import Fitted, fit_terms
 from labhil.identify.noise import lasting_noise
 from labhil.identify.problem import Problem
 from labhil.identify.waves import starts_beside
-from labhil.identify.window_states import grow_states
+from labhil.identify.window_states import FIRST_GROWN, grow_states
 from labhil.identify.windows import fit_windows
 from labhil.physics.extra_force import Yielding
-from labhil.physics.model import Model
+from labhil.physics.model import Model, index_of
 from labhil.signals import FloatArray
-
-FIRST_GROWN = 0.375
-"""Scored horizons of a window on which its initial state is found first."""
-
 
 CURVE_WINDOW = 1.5
 """Scored horizons of the windows on which curves are weighed: on longer ones few are linear enough."""
@@ -85,6 +82,25 @@ class SearchState:
         return known | {s: r.log_evidence for s, r in self.refitted.items()}
 
 
+LEADING = 3
+"""Structures of a stage with which the next one begins, at most, beside the baseline."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """What a search visited on windows of one length."""
+
+    data: Data
+    state: SearchState
+
+    @property
+    def leading(self) -> list[Fitted]:
+        """The baseline and the likeliest structures."""
+        by_evidence = sorted(self.state.refitted, key=lambda s: -self.state.refitted[s].log_evidence)
+        chosen = dict.fromkeys([frozenset[str](), *by_evidence[:LEADING]])
+        return [self.state.refitted[structure].fitted for structure in chosen]
+
+
 @dataclass(frozen=True, slots=True)
 class StructureSearch:
     """A search over sets of terms that are added to a baseline."""
@@ -117,9 +133,26 @@ class StructureSearch:
                 looked.add(best)
                 view = self._view(state.refitted[best].fitted)
                 state.predicted = view.best()
+                for narrow in self._narrowed(state):
+                    self._enter(state, self._refit(state, narrow))
             if not self._refit_promising(state) and state.best in looked:
                 break
         return state
+
+    def _narrowed(self, state: SearchState) -> list[Predicted]:
+        """The best structure with what a term becomes without its width, begun at that term's size."""
+        model, best = self.data.model, state.best
+        theta, places = state.refitted[best].fitted.theta, index_of(model.parameters)
+        found = []
+        for term in best:
+            narrow = model.terms[term].narrow
+            structure = (best - {term}) | {narrow} if narrow else best
+            if not narrow or narrow in best or structure in state.refitted:
+                continue
+            size, own = (places[model.terms[key].parameters[0].key] for key in (narrow, term))
+            values = {model.parameters[size].key: max(float(theta[own]), 0.0)}
+            found.append(Predicted(structure, -np.inf, -np.inf, values))
+        return found
 
     def _view(self, fitted: Fitted) -> Enumeration:
         self.progress(f"evidence of all structures beside {', '.join(fitted.terms)}")
@@ -178,25 +211,33 @@ def search_structures(
 ) -> Found:
     """Find the likeliest terms beside a fitted baseline, by one evidence."""
     options = options or Options()
-    model = data.model
-    correlation = lasting_noise(model, baseline.theta, data.search, data.sigma).correlation
-    lengths = options.horizons if model.state_names else options.horizons[-1:]
-    begin, stage, state = [baseline], data, SearchState()
-    with ThreadPoolExecutor(cores()) as executor:
-        for horizons in lengths:
-            window = min(horizons * model.horizon, data.search.longest)
-            if model.state_names:
-                stage = replace(data, window=window)
-                begin = [on_windows(stage, fitted) for fitted in begin]
-            search = StructureSearch(stage, baseline.terms, correlation, executor, progress, options)
-            state = search.run(begin)
-            leading = sorted(state.refitted.values(), key=lambda r: -r.log_evidence)[:3]
-            begin = [
-                state.refitted[frozenset()].fitted,
-                *(r.fitted for r in leading if r.fitted.terms != baseline.terms),
-            ]
-    found = _concluded(stage, state, baseline.terms, options, search.candidates)
-    return _with_curve(data, found, correlation, progress)
+    correlation = lasting_noise(data.model, baseline.theta, data.search, data.sigma).correlation
+    finished: list[Stage] = []
+    complete = True
+    try:
+        with ThreadPoolExecutor(cores()) as executor:
+            for stage in _stages(data, options):
+                begin = finished[-1].leading if finished else [baseline]
+                if data.model.state_names:
+                    begin = [on_windows(stage, fitted) for fitted in begin]
+                search = StructureSearch(stage, baseline.terms, correlation, executor, progress, options)
+                finished.append(Stage(stage, search.run(begin)))
+    except EndedEarly:
+        accept()
+        complete = False
+    looks = len(candidates(data.model, baseline.terms))
+    if not finished:
+        return Found(baseline, baseline, (), (), 1.0, looks, complete=False)
+    found = replace(_concluded(finished[-1], options, looks), complete=complete)
+    return _with_curve(data, found, correlation, progress) if complete else found
+
+
+def _stages(data: Data, options: Options) -> list[Data]:
+    """The data on the windows of each stage; inverse dynamics has no windows and one stage."""
+    if not data.model.state_names:
+        return [data]
+    lengths = (min(h * data.model.horizon, data.search.longest) for h in options.horizons)
+    return [replace(data, window=length) for length in dict.fromkeys(lengths)]
 
 
 def _with_curve(data: Data, found: Found, correlation: FloatArray, progress: Progress) -> Found:
@@ -237,14 +278,13 @@ def on_windows(data: Data, fitted: Fitted) -> Fitted:
     )  # fmt: skip
 
 
-def _concluded(
-    data: Data, state: SearchState, baseline: tuple[str, ...], options: Options, looks: int
-) -> Found:
+def _concluded(stage: Stage, options: Options, looks: int) -> Found:
     """The best structure with its rivals; nothing where the data do not speak for it."""
+    state = stage.state
     base = state.refitted[frozenset()].fitted
     best = state.best
     fitted = state.refitted[best].fitted
-    claims = {term: log_odds(data.model, state, term) for term in best}
+    claims = {term: log_odds(stage.data.model, state, term) for term in best}
     shares = inclusion(state)
     steps = [_step(term, odds, shares[term]) for term, odds in claims.items() if odds > options.claim]
     steps.sort(key=lambda s: s.evidence.delta_bic)
@@ -275,16 +315,15 @@ def inclusion(state: SearchState) -> dict[str, float]:
 def log_odds(model: Model, state: SearchState, term: str) -> float:
     """Return the log odds that the best structure needs a term, whatever else builds on it.
 
-    Against the likeliest way to do without: as the best structure's own linearisation predicts it, or as it
-    was refitted.
+    Against the structure without it as that was refitted, or as the best one's own linearisation predicts it.
     """
     best = state.best
     own = state.refitted[best]
     alone = [v for v in own.choice if v.term != term]
     without = own.view.evaluate([tuple(alone)])[0].log_evidence
     carriers = {t for t in best if term in model.terms[t].with_terms}
-    if not carriers:
-        without = max(without, state.log_evidence().get(best - {term}, -np.inf))
+    if not carriers and best - {term} in state.refitted:
+        without = state.refitted[best - {term}].log_evidence
     return own.log_evidence - without
 
 
