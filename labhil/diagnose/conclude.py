@@ -80,7 +80,7 @@ def concluded(data: Data, found: Found, left: FloatArray, progress: Callable[[st
     after = marked(model, theta) if found.missing else before
     if found.missing and _unnoticed(found, before, after):
         found, after, left = found.nothing, before, left_by(data, found.baseline)
-    more = _leaves_more(data, found, left, after.excess)
+    more = leaves_more(data, found, left, after.excess)
     if not found.complete:
         return Concluded(data, found, (), more, before, after, noise.sigma)
     if more:
@@ -101,7 +101,7 @@ def _unnoticed(found: Found, before: Score, after: Score) -> bool:
     return weak and not better and before.excess < NOTICED
 
 
-def _leaves_more(data: Data, found: Found, left: FloatArray, excess: float) -> bool:
+def leaves_more(data: Data, found: Found, left: FloatArray, excess: float) -> bool:
     """Whether more than noise is left: by the metric alone, or by windows that know their states and it.
 
     Noise that lasts is not known so well from short windows that these alone could raise an alarm.

@@ -120,8 +120,10 @@ def length_of(fitted: Fitted) -> float:
     return record.duration / len(windows)
 
 
-def glance(begun: Fitted, coordinate: Coordinate, along: FloatArray) -> Curved:
-    """The curve that one linear step from a model's fit gives, with the smoothness that predicts best.
+def with_spline(
+    begun: Fitted, coordinate: Coordinate, along: FloatArray
+) -> tuple[ExtendedModel, Problem, Point]:
+    """A fit's problem with a spline beside its model, still zero.
 
     ``along`` (N,) is the coordinate where the data are.
     """
@@ -138,7 +140,15 @@ def glance(begun: Fitted, coordinate: Coordinate, along: FloatArray) -> Curved:
     free = np.r_[old.free, own + np.arange(model.spline.count)]
     theta = np.r_[begun.theta, np.zeros(model.spline.count)]
     problem = Problem(model, old.record, old.windows, free, theta, old.sigma)
-    point = Point(problem.start().z, begun.solution.point.states)
+    return model, problem, Point(problem.start().z, begun.solution.point.states)
+
+
+def glance(begun: Fitted, coordinate: Coordinate, along: FloatArray) -> Curved:
+    """The curve that one linear step from a model's fit gives, with the smoothness that predicts best.
+
+    ``along`` (N,) is the coordinate where the data are.
+    """
+    model, problem, point = with_spline(begun, coordinate, along)
     near, _ = Projected.at(problem, point, begun.solution.residuals)
     penalty = _smoothest(near, model)
     z = near.solve(penalty)

@@ -23,6 +23,7 @@ from labhil.diagnose.judge import NEEDED_BIC, TOGETHER, Data
 from labhil.diagnose.load import with_load
 from labhil.diagnose.rest import left_by, unexplained
 from labhil.diagnose.search import onward, search
+from labhil.diagnose.structures.conclude import conclude
 from labhil.diagnose.structures.search import search_structures
 from labhil.diagnose.timing import all_faults
 from labhil.diagnose.unmodelled import Unmodelled
@@ -43,7 +44,11 @@ FIRST_WINDOW_IN_HORIZONS = 0.1875
 FALSE_ALARM = 5e-4
 SEARCH, EVIDENCE = "search", "evidence"
 Search = Callable[[Data, Fitted, Callable[[str], None]], Found]
-METHODS: Mapping[str, Search] = {SEARCH: search, EVIDENCE: search_structures}
+Conclude = Callable[[Data, Found, FloatArray, Callable[[str], None]], Concluded]
+METHODS: Mapping[str, tuple[Search, Conclude]] = {
+    SEARCH: (search, concluded),
+    EVIDENCE: (search_structures, conclude),
+}
 SHOWN = 1.1
 """RMSE over the noise floor, on held-out data, that asks for a wider search."""
 
@@ -62,7 +67,7 @@ def diagnose(
     accepted: Accepted | None = None,
     measured: Record | None = None,
     progress: Callable[[str], None] = lambda text: None,
-    method: str = SEARCH,
+    method: str = EVIDENCE,
 ) -> Diagnosis:
     """Find what ``baseline`` lacks on ``searched``, judged on ``held_out``.
 
@@ -92,7 +97,7 @@ def diagnose(
     look = partial(
         _found, terms=terms, reference=reference, accepted=accepted, progress=progress, method=method
     )
-    end = _concluded(data, look(data, base), look, progress)
+    end = _concluded(data, look(data, base), look, progress, METHODS[method][1])
     found, curves, told, claimed = end.found, end.curves, strongest(end.curves), end.doubts
     final = _rows(found, curves, accepted)
     changed = _changes(final, reference, accepted)
@@ -148,7 +153,11 @@ def _baseline(data: Data, terms: Sequence[str]) -> tuple[Data, Fitted, bool]:
 
 
 def _concluded(
-    data: Data, found: Found, look: Callable[[Data, Fitted], Found], progress: Callable[[str], None]
+    data: Data,
+    found: Found,
+    look: Callable[[Data, Fitted], Found],
+    progress: Callable[[str], None],
+    how: Conclude,
 ) -> Concluded:
     """The end of a diagnosis; of one that is ended early, what its first search found."""
     try:
@@ -156,12 +165,12 @@ def _concluded(
             data, found, left = _looked_wider(data, found, look, progress)
             # sizes that were kept near nominal stay there
             data = replace(data, model=found.final.problem.model)
-            return concluded(data, found, left, progress)
+            return how(data, found, left, progress)
     except EndedEarly:
         accept()
     found = replace(found, complete=False)
     data = replace(data, model=found.final.problem.model)
-    return concluded(data, found, left_by(data, found.final), progress)
+    return how(data, found, left_by(data, found.final), progress)
 
 
 def _found(
@@ -175,7 +184,7 @@ def _found(
     method: str,
 ) -> Found:
     """Search once; with values of the user's own sizes, once more with these held."""
-    by = METHODS[method]
+    by, _ = METHODS[method]
     found = by(data, base, progress)
     try:
         if not found.complete:
@@ -236,7 +245,8 @@ def _looked_wider(
     these still ask for it.
     """
     left = left_by(data, found.final)
-    shown = unexplained(data, left[1]) or _marked(data, found).excess > SHOWN
+    explained = found.curve is not None
+    shown = not explained and (unexplained(data, left[1]) or _marked(data, found).excess > SHOWN)
     parts = searched_and_kept(data) if shown else None
     if parts is None:
         return data, found, left

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from labhil.diagnose.collapsed import Collapsed
+from labhil.diagnose.curve import Curved
 from labhil.diagnose.evidence import Evidence
 from labhil.identify.fitted import Fitted
 
@@ -17,13 +18,15 @@ BETTER = 1e-3
 class Step:
     """One accepted addition with its evidence; ``p_search`` is corrected for all candidates looked at.
 
-    ``told``: it explains enough to be worth telling, and a size of it is told from zero.
+    ``told``: it explains enough to be worth telling, and a size of it is told from zero. ``probability`` is
+    that of all likely structures that have it, where these were compared.
     """
 
     terms: tuple[str, ...]
     evidence: Evidence
     p_search: float
     told: bool
+    probability: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,13 +39,24 @@ class Rival:
     term: str
     instead_of: str
     delta_bic: float
+    probability: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FittedCurve:
+    """A curve as it was refitted ``beside`` some terms, and its log odds over the likeliest named ones."""
+
+    curved: Curved
+    beside: Fitted
+    log_odds: float
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
     """Where a search ended; ``errors`` are standard errors by key that its fits by themselves cannot know.
 
-    ``collapsed`` are sizes of the rig that gave way in the baseline.
+    ``collapsed`` are sizes of the rig that gave way in the baseline. ``curve`` is a force without a name that
+    is likelier than more names, fitted beside those that are left.
     ``complete`` is False where it was ended early, with the best so far.
     """
 
@@ -55,6 +69,7 @@ class Found:
     errors: Mapping[str, float] = field(default_factory=dict)
     collapsed: tuple[Collapsed, ...] = ()
     complete: bool = True
+    curve: FittedCurve | None = None
 
     @property
     def nothing(self) -> Found:

@@ -41,13 +41,16 @@ def missing(
     rows = [row for row in final if (row.term, row.joint) == (term.name, term.joint)]
     sizes = ", ".join(f"{_short(row)} = {row.value:.4g} {_unit(row)}".rstrip() for row in rows)
     rivals = [r for r in found.rivals if r.instead_of == key]
+    probability = step.probability
+    if probability is None:
+        probability = credence(step.evidence, excess, claims) * share(0.0, rivals)
     at = "" if term.joint is None else f" of joint {term.joint}"
     return Missing(
         term=term.name,
         joint=term.joint,
         statement=f"The model leaves out {term.statement}{at}: {sizes}.{_together(found.final, rows)}",
         equation=term.equation,
-        probability=credence(step.evidence, excess, claims) * share(0.0, rivals),
+        probability=probability,
         parameters=rows,
         evidence=step.evidence,
     )
@@ -92,7 +95,7 @@ def unnamed(beyond: Unmodelled, excess: float, claims: int) -> Missing:
         joint=beyond.joint,
         statement=beyond.statement,
         equation=f"a curve over {', '.join(beyond.depends_on)}{formula}",
-        probability=credence(beyond.evidence, excess, claims),
+        probability=beyond.probability or credence(beyond.evidence, excess, claims),
         parameters=[],
         evidence=beyond.evidence,
     )
@@ -120,11 +123,14 @@ def rival_term(model: Model, rival: Rival, found: Found, excess: float, claims: 
     same = [r for r in found.rivals if r.instead_of == rival.instead_of]
     step = found.step(rival.instead_of)
     term = model.terms[rival.term]
+    probability = rival.probability
+    if probability is None:
+        probability = credence(step.evidence, excess, claims) * share(rival.delta_bic, same)
     return RivalTerm(
         term=term.name,
         instead_of=rival.instead_of,
         joint=term.joint,
-        probability=credence(step.evidence, excess, claims) * share(rival.delta_bic, same),
+        probability=probability,
         delta_bic=rival.delta_bic,
         distinguishable=False,
         experiment=f"excite with {term.revealed_by}",

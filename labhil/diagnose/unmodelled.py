@@ -26,6 +26,7 @@ from labhil.diagnose.curve import (
     shortened,
 )
 from labhil.diagnose.evidence import Evidence, bic, effective_samples, heldout_gain
+from labhil.diagnose.found import FittedCurve
 from labhil.diagnose.judge import TRUSTED, Data, supported
 from labhil.diagnose.rest import STANDS_IN
 from labhil.identify.extended import NAME, Coordinate, ExtendedModel
@@ -100,6 +101,7 @@ class Unmodelled:
     after: Score
     share: float
     rows: list[Estimate]
+    probability: float | None = None
 
     @property
     def model(self) -> ExtendedModel:
@@ -139,7 +141,22 @@ def unmodelled(data: Data, final: Fitted, part: MovedPart) -> Unmodelled | None:
     return None if found.share < STANDS_IN else found
 
 
-def coordinates_of(model: Yielding, part: MovedPart) -> list[Coordinate]:
+def stated(data: Data, curve: FittedCurve) -> Unmodelled:
+    """A curve that evidence chose, as the answer states it."""
+    beside, odds = curve.beside, curve.log_odds
+    judged = data.judge(beside.theta)[0]
+    evidence = replace(_evidence(data, beside, judged, curve.curved), delta_bic=-2.0 * odds)
+    answer = _answer(data, beside, curve.curved, evidence)
+    return replace(answer, probability=float(1.0 / (1.0 + np.exp(-odds))))
+
+
+def with_placed(final: Fitted) -> list[Fitted]:
+    """A fit, and the same where windows know where their part stands, if recordings do not tell it."""
+    placed = _placed(final)
+    return [final] if placed is final else [final, placed]
+
+
+def motion_coordinates(model: Yielding, part: MovedPart) -> list[Coordinate]:
     """Everything that a force on a part may be a function of, with and without the sign of velocity.
 
     Positions of other parts are among it: a cable or a spring may be tied to both.
@@ -154,7 +171,7 @@ def coordinates_of(model: Yielding, part: MovedPart) -> list[Coordinate]:
     return [Coordinate(name, unit_of(units, name) or "", acts, part) for name, acts in ways if name]
 
 
-def _given(final: Fitted, part: MovedPart) -> list[Coordinate]:
+def given_coordinates(final: Fitted, part: MovedPart) -> list[Coordinate]:
     """Inputs and their rates, which the record gives."""
     model, record = final.problem.model, final.problem.record
     names = {f"{name}{rate}" for name in record.input_names for rate in ("", "_rate")}
@@ -192,7 +209,7 @@ def _curves(final: Fitted, model: Yielding, part: MovedPart, halvings: int) -> l
 
 def _looks(short: Fitted, model: Yielding, part: MovedPart) -> list[Curved]:
     """Glances at a curve over each coordinate that varies, the one with the least criterion first."""
-    looks = _glances(short, coordinates_of(model, part) + _given(short, part))
+    looks = _glances(short, motion_coordinates(model, part) + given_coordinates(short, part))
     where = _placed(short)
     if where is not short:
         looks += _glances(where, _places(where))
@@ -224,7 +241,7 @@ def _places(final: Fitted) -> list[Coordinate]:
     """What a force may be a function of once the place is known."""
     model = final.problem.model
     assert isinstance(model, Yielding)
-    return [c for part in model.moved for c in coordinates_of(model, part) if c.name == part.position]
+    return [c for part in model.moved for c in motion_coordinates(model, part) if c.name == part.position]
 
 
 def _leading(trials: Sequence[Curved]) -> list[Curved]:

@@ -95,7 +95,11 @@ class Problem:
         spans = list(
             zip(self.windows.first[chosen].tolist(), self.windows.last[chosen].tolist(), strict=True)
         )
-        return Problem(self.model, self.record, Windows.of(spans), self.free, self.base, self.sigma)
+        return self.on_windows(Windows.of(spans))
+
+    def on_windows(self, windows: Windows) -> Problem:
+        """The same problem on other windows."""
+        return Problem(self.model, self.record, windows, self.free, self.base, self.sigma)
 
     def pinned(self, places: IntArray, theta: FloatArray) -> Problem:
         """The same problem with the free parameters at ``places`` held where the vector ``theta`` is."""

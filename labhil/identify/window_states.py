@@ -31,6 +31,9 @@ ANGLE, ANGLES = "_angle", 16
 TRIALS = 12
 """States that are tried anew in every window when a fit settles."""
 
+FIRST_GROWN = 0.375
+"""Scored horizons of a long window on which its initial state is found first."""
+
 NEAR, FAR = 0.05, 0.5
 """How far from the best so far they begin, in scales of the state: two thirds near, one third far."""
 
@@ -105,6 +108,24 @@ def fit_states(problem: Problem, z: FloatArray, states: FloatArray, *, iteration
     return free.chosen(problem, rest, at_rest).states
 
 
+def grow_states(problem: Problem, z: FloatArray, shortest: float) -> FloatArray:
+    """Find each window's initial state on its begin, then on more and more of it, (W, S).
+
+    A state that is guessed from a few samples leads a long simulation far from the data, into one of many
+    local minima; one that fits the first ``shortest`` seconds is near enough for four times as many.
+    """
+    windows, record = problem.windows, problem.record
+    rows = _rows_of_windows(problem) // record.outputs.shape[1]
+    states, length = problem.guess, max(int(shortest / record.period), 1)
+    while length < rows.max():
+        ends = np.minimum(windows.first + length, windows.last)
+        spans = list(zip(windows.first.tolist(), ends.tolist(), strict=True))
+        begins = problem.on_windows(Windows.of(spans))
+        states = fit_states(begins, z, states)
+        length *= 4
+    return fit_states(problem, z, states)
+
+
 def _velocities(problem: Problem) -> np.ndarray:
     return np.array([name.endswith("_velocity") for name in problem.model.state_names], dtype=bool)
 
@@ -170,7 +191,11 @@ def settled_states(problem: Problem, z: FloatArray, *, thorough: bool = True) ->
 
     ``thorough`` as in :func:`held_at`.
     """
-    found = _turned(problem, z, tried(problem, z, fit_states(problem, z, problem.guess)))
+    begun = tried(problem, z, fit_states(problem, z, problem.guess))
+    if problem.model.state_names and problem.record.longest > FIRST_GROWN * problem.model.horizon:
+        grown = grow_states(problem, z, FIRST_GROWN * problem.model.horizon)
+        begun = begun.or_better(problem, tried(problem, z, grown))
+    found = _turned(problem, z, begun)
     found = rescued_states(problem, z, found)
     return _searched(problem, z, found) if thorough and problem.model.state_names else found
 

@@ -26,9 +26,11 @@ def test_the_evidence_of_one_size_is_its_integral() -> None:
     response = random.standard_normal(n)
     target = random.standard_normal(n) - 0.7 * response
     matrix = np.column_stack([target, response])
-    seen = grams(matrix, 0, np.empty((0, 2)), np.empty(0), n, Disturbance.grid((0.0,)))
-    with_it, size = log_evidence(seen, one([1], [0], [False]))
-    without, _ = log_evidence(seen, one([], [], []))
+    seen = grams(matrix, 0, np.empty((0, 2)), np.empty(0), n, Disturbance.grid(1, ())).with_precisions(
+        [(range(1, 2), None)]
+    )
+    with_it, _, size = log_evidence(seen, one([1], [0], [False]))
+    without, *_ = log_evidence(seen, one([], [], []))
     kappa = KAPPA[np.argmin(np.abs(np.log(KAPPA / np.sqrt(size[0, 0] ** 2 * (response @ response) / n))))]
     spread = kappa * np.sqrt(n / (response @ response))
     power = float(target @ target)
@@ -53,9 +55,11 @@ def test_a_size_that_cannot_be_negative_gains_where_it_is_positive_and_loses_whe
     response = random.standard_normal(200)
     for true, better in ((0.3, True), (-0.3, False)):
         matrix = np.column_stack([random.standard_normal(200) - true * response, response])
-        seen = grams(matrix, 0, np.empty((0, 2)), np.empty(0), 200, Disturbance.grid((0.0,)))
-        free, _ = log_evidence(seen, one([1], [0], [False]))
-        bound, _ = log_evidence(seen, one([1], [0], [True]))
+        seen = grams(matrix, 0, np.empty((0, 2)), np.empty(0), 200, Disturbance.grid(1, ())).with_precisions(
+            [(range(1, 2), None)]
+        )
+        free, *_ = log_evidence(seen, one([1], [0], [False]))
+        bound, *_ = log_evidence(seen, one([1], [0], [True]))
         assert (bound[0] > free[0]) == better
 
 
@@ -70,9 +74,10 @@ def test_a_smooth_disturbance_takes_the_evidence_from_a_term_that_imitates_it() 
     matrix = np.column_stack([target, response])
     strength = np.full(8, np.sqrt(n))
     gains = []
-    for sizes in ((0.0,), (0.0, 1.0)):
-        seen = grams(matrix, 0, modes.T @ matrix, strength, n, Disturbance.grid(sizes))
-        with_it, _ = log_evidence(seen, one([1], [0], [False]))
+    for sizes in ((), (1.0,)):
+        seen = grams(matrix, 0, modes.T @ matrix, strength, n, Disturbance.grid(1, sizes))
+        seen = seen.with_precisions([(range(1, 2), None)])
+        with_it, *_ = log_evidence(seen, one([1], [0], [False]))
         gains.append(with_it[0] - log_evidence(seen, one([], [], []))[0][0])
     assert gains[0] > 20.0
     assert gains[1] < 0.5 * gains[0]

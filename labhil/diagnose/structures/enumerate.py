@@ -39,10 +39,14 @@ class BeamOptions:
 
 @dataclass(frozen=True, slots=True)
 class Predicted:
-    """A structure with its log evidence as one linearisation predicts it, and values by parameter key."""
+    """A structure with its log evidence as one linearisation predicts it, and values by parameter key.
+
+    ``undisturbed`` is the same where no disturbance is possible.
+    """
 
     structure: Structure
     log_evidence: float
+    undisturbed: float
     values: Mapping[str, float]
     choice: Choice = ()
 
@@ -59,7 +63,7 @@ def log_prior(model: Model, structure: Structure, candidates: int) -> float:
     Every number of terms is half as likely as one less, and all structures of one number are alike (Chen and
     Chen 2008, extended BIC with γ = 1). What others build on comes with them and is not counted.
     """
-    carried = {t for term in structure for t in model.terms[term].with_terms}
+    carried = {t for term in structure if term in model.terms for t in model.terms[term].with_terms}
     count = len(structure - carried)
     return -count * log(2.0) - log(comb(max(candidates, count), count))
 
@@ -80,9 +84,9 @@ class Enumeration:
         widths = [sum(len(v.keys) for v in choice) for choice in choices]
         for width in sorted(set(widths)):
             places = [i for i, w in enumerate(widths) if w == width]
-            logs, sizes = log_evidence(self.responses.grams, _batch([choices[i] for i in places], width))
-            for i, value, own in zip(places, logs, sizes, strict=True):
-                found[i] = self._predicted(choices[i], float(value), own)
+            batch = _batch([choices[i] for i in places], width)
+            for i, *own in zip(places, *log_evidence(self.responses.grams, batch), strict=True):
+                found[i] = self._predicted(choices[i], *own)
         return [each for each in found if each is not None]
 
     def best(self) -> dict[Structure, Predicted]:
@@ -104,11 +108,12 @@ class Enumeration:
             beam = [first[s] for s in dict.fromkeys(p.structure for p in ranked)][: self.options.width]
         return reached
 
-    def _predicted(self, choice: Choice, value: float, sizes: FloatArray) -> Predicted:
+    def _predicted(self, choice: Choice, value: float, undisturbed: float, sizes: FloatArray) -> Predicted:
         structure = frozenset(v.term for v in choice)
         ways = sum(log(len(self.responses.variants[v.term])) for v in choice)
-        prior = log_prior(self.model, structure, self.candidates)
-        return Predicted(structure, value + prior - ways, self.responses.sizes(choice, sizes), choice)
+        prior = log_prior(self.model, structure, self.candidates) - ways
+        values = self.responses.sizes(choice, sizes)
+        return Predicted(structure, float(value + prior), float(undisturbed + prior), values, choice)
 
     @staticmethod
     def _note(reached: dict[Structure, Predicted], found: Iterable[Predicted]) -> None:

@@ -19,7 +19,8 @@ plus log 2Φ(m/s) for each size that cannot be negative (O'Hagan and Forster 200
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import log_ndtr
@@ -38,11 +39,12 @@ class Disturbance:
     weight: FloatArray
 
     @classmethod
-    def grid(cls, sizes: tuple[float, ...] = (0.0, 0.3, 1.0, 3.0, 10.0)) -> Disturbance:
-        """Half of the prior on none, the other half evenly on the rest."""
-        weight = np.full(len(sizes), 0.5 / max(len(sizes) - 1, 1))
-        weight[0] = 0.5
-        return cls(np.array(sizes), weight / weight.sum())
+    def grid(
+        cls, candidates: int, sizes: tuple[float, ...] = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
+    ) -> Disturbance:
+        """A disturbance is as likely as one more of so many ``candidates``, and of any size alike."""
+        some = 0.5 / (candidates + 1)
+        return cls(np.r_[0.0, sizes], np.r_[1.0 - some, np.full(len(sizes), some / max(len(sizes), 1))])
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,16 +52,34 @@ class Grams:
     """Inner products of target and responses under every τ, the baseline's responses taken out.
 
     ``seen`` (T, m, m) has the target first and all responses after it; ``raw`` (m, m) is the same without
-    disturbance and before the baseline's responses are taken out: it sizes the prior. ``log_weight`` (T,) are
-    the logarithms of the prior of τ and of what does not depend on the structure. ``samples`` is how many
-    rows there are, ``dof`` how many independent ones are left.
+    disturbance and before the baseline's responses are taken out: it sizes the prior, whose ``precision``
+    (m, m) is that of responses of one noise level. ``log_prior`` (T,) is that of τ; ``log_weight`` (T,) has
+    in it also what does not depend on the structure. ``samples`` is how many rows there are, ``dof`` how many
+    independent ones are left.
     """
 
     seen: FloatArray
     raw: FloatArray
+    precision: FloatArray
     log_weight: FloatArray
+    log_prior: FloatArray
     samples: int
     dof: float
+
+    def with_precisions(self, blocks: Sequence[tuple[range, FloatArray | None]]) -> Grams:
+        """The same with the prior of each block of responses.
+
+        It is the given precision, scaled so that the responses of the block have an RMS of one noise level on
+        average over the prior; None stands for unit information, the block's own Gram matrix.
+        """
+        precision = np.zeros_like(self.raw)
+        for places, stated in blocks:
+            own = np.ix_(places, places)
+            form = self.raw[own] if stated is None else stated
+            width = len(places)
+            energy = width if stated is None else float(np.trace(np.linalg.solve(stated, self.raw[own])))
+            precision[own] = form * (energy / self.samples)
+        return replace(self, precision=precision)
 
 
 def grams(
@@ -102,7 +122,9 @@ def grams(
             - 0.5 * float(np.linalg.slogdet(inner)[1])
             - float(np.sum(np.log(scale)))
         )  # fmt: skip
-    return Grams(np.array(seen), plain[np.ix_(kept, kept)], np.array(logs), len(matrix), dof - baseline)
+    raw = plain[np.ix_(kept, kept)]
+    logs_of = np.array(logs), np.log(disturbance.weight)
+    return Grams(np.array(seen), raw, np.zeros_like(raw), *logs_of, len(matrix), dof - baseline)
 
 
 KAPPA = np.array([0.3, 1.0, 3.0, 10.0, 30.0, 100.0])
@@ -125,7 +147,7 @@ class Batch:
     positive: np.ndarray
 
 
-def log_evidence(grams: Grams, batch: Batch) -> tuple[FloatArray, FloatArray]:
+def log_evidence(grams: Grams, batch: Batch) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Evidence of structures, τ summed out, and the posterior means of their sizes under the likeliest τ.
 
     Args:
@@ -133,7 +155,8 @@ def log_evidence(grams: Grams, batch: Batch) -> tuple[FloatArray, FloatArray]:
         batch: S structures of k responses.
 
     Returns:
-        Logarithms (S,), up to a constant that all structures share, and sizes (S, k).
+        Logarithms (S,), up to a constant that all structures share; the same without a disturbance (S,), its
+        prior left out; and sizes (S, k).
     """
     raw = _gathered(grams.raw, batch.columns)
     logs, sizes = zip(*(_under(grams, t, raw, batch) for t in range(len(grams.log_weight))), strict=True)
@@ -141,7 +164,7 @@ def log_evidence(grams: Grams, batch: Batch) -> tuple[FloatArray, FloatArray]:
     best = np.argmax(every, axis=0)
     highest = every.max(axis=0)
     total = highest + np.log(np.sum(np.exp(every - highest), axis=0))
-    return total, np.array(sizes)[best, np.arange(len(best))]
+    return total, every[0] - grams.log_prior[0], np.array(sizes)[best, np.arange(len(best))]
 
 
 def _under(grams: Grams, t: int, raw: FloatArray, batch: Batch) -> tuple[FloatArray, FloatArray]:
@@ -153,7 +176,7 @@ def _under(grams: Grams, t: int, raw: FloatArray, batch: Batch) -> tuple[FloatAr
         return np.full(len(batch.columns), value), np.empty(batch.columns.shape)
     gram, pull = _gathered(seen, batch.columns), seen[batch.columns, 0]
     same = batch.block[:, :, None] == batch.block[:, None, :]
-    unit = raw * same * same.sum(axis=2, keepdims=True) / grams.samples
+    unit = _gathered(grams.precision, batch.columns) * same
     first = gram + unit / FIRST_KAPPA**2
     response = np.linalg.solve(_lifted(first), pull[:, :, None])[:, :, 0]
     energy = response * np.einsum("sij,sj->si", raw * same, response)

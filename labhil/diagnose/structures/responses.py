@@ -15,6 +15,7 @@ import numpy as np
 
 from labhil.diagnose.judge import Data
 from labhil.diagnose.structures.marginal import Disturbance, Grams, grams
+from labhil.identify.extended import ExtendedModel
 from labhil.identify.fitted import Fitted
 from labhil.identify.problem import Linearised, Problem
 from labhil.identify.waves import starts_beside
@@ -22,8 +23,12 @@ from labhil.physics.model import index_of, terms_named
 from labhil.physics.terms import Parameter
 from labhil.signals import FloatArray
 
-MODES, CORNER = 12, 2.0
-"""Cosines of the disturbance in each window, and the one from which their amplitude falls as 1/k²."""
+FASTEST, CORNER = 4.0, 0.67
+"""Cycles per scored horizon up to which a disturbance is modelled, and those from which its amplitude falls
+with the square of the frequency, as the response of a second-order plant to a random force does."""
+
+FEWEST_MODES = 3
+"""Cosines in a window, however short it is."""
 
 WANTED, LARGER = 1.5, 4.5
 """Noise levels of the response by which a size is stepped, and of a second step where that is not
@@ -31,6 +36,9 @@ proportional."""
 
 PROPORTIONAL = 0.3
 """Relative difference from a proportional response from which a term counts as one with a threshold."""
+
+SMOOTHNESS = (1e-2, 1.0, 1e2)
+"""Weights of a curve's roughness in its prior, over one that lets each coefficient be what it likes."""
 
 TRIES = 5
 """Simulations that may go into finding the step of one size."""
@@ -60,6 +68,18 @@ class Variant:
 
 
 @dataclass(frozen=True, slots=True)
+class CurveColumns:
+    """What each coefficient of a force over one coordinate changes in the residuals, (N·c, K).
+
+    ``roughness`` (K, K) is ∫ f″² as a form of the coefficients.
+    """
+
+    name: str
+    columns: FloatArray
+    roughness: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
 class Responses:
     """Responses of all terms beside a fit: their inner products, and the variants of each term by its key."""
 
@@ -76,9 +96,10 @@ class Responses:
             values |= variant.at
             for key, unit, shape in zip(variant.keys, variant.unit, variant.shape, strict=True):
                 value = coefficients[start] * unit + (variant.at[key] if shape else 0.0)
-                parameter = parameters[key]
-                values[key] = float(np.clip(value, parameter.lower, parameter.upper))
                 start += 1
+                if key in parameters:  # coefficients of a curve are none of the model's
+                    parameter = parameters[key]
+                    values[key] = float(np.clip(value, parameter.lower, parameter.upper))
         return values
 
 
@@ -93,11 +114,12 @@ class _Column:
 
 @dataclass(frozen=True, slots=True)
 class _Way:
-    """A variant before its place is known."""
+    """A variant before its place is known; ``precision`` (k, k) of its sizes, up to a factor, or None."""
 
     term: str
     at: Mapping[str, float]
     columns: tuple[_Column, ...]
+    precision: FloatArray | None = None
 
 
 def responses(
@@ -107,6 +129,7 @@ def responses(
     correlation: FloatArray,
     executor: Executor | None,
     absent: Sequence[str] | None = None,
+    curves: Sequence[CurveColumns] = (),
 ) -> Responses:
     """Take the responses of all terms where a fit stands.
 
@@ -117,28 +140,58 @@ def responses(
         correlation: (c,) of the noise of neighbouring samples of each output.
         executor: runs simulations side by side.
         absent: keys of the terms that may be added; None for all that the model has.
+        curves: forces over one coordinate each, which may be added too.
     """
     problem, solution = fitted.problem, fitted.solution
     lin = problem.linearise(solution.point, solution.residuals)
-    found = [term for term in fitted.terms if term not in baseline]
     own = [problem.model.parameters[i].term for i in problem.free]
-    shared = [j for j, term in enumerate(own) if term not in found]
-    ways = [_present(problem, fitted, lin, term) for term in found]
-    target = solution.residuals - _explained(fitted, ways)
+    shared = [j for j, term in enumerate(own) if term is None or term in baseline]
+    present = [
+        _present(problem, fitted, lin, term) for term in dict.fromkeys(own) if term and term not in baseline
+    ]
+    target = solution.residuals - _explained(fitted, present)
+    ways = [way for term in present for way in _as_curve(problem, term)]
     others = [key for key in data.model.terms if key not in fitted.terms] if absent is None else absent
     mapped = map if executor is None else executor.map
     for each in mapped(lambda key: _absent(problem, fitted, lin, key), others):
         ways += each
-    columns = [c.values for way in ways for c in way.columns]
-    matrix = np.column_stack([target, lin.by_parameters[:, shared], *columns])
+    for curve in curves:
+        columns = tuple(_Column("", 1.0, False, False, column) for column in curve.columns.T)
+        ways += _smooth(_Way(curve.name, {}, columns), curve.roughness)
+    every = [c.values for way in ways for c in way.columns]
+    matrix = np.column_stack([target, lin.by_parameters[:, shared], *every])
     placed, first = dict[str, list[Variant]](), 1
+    priors = []
     for way in ways:
         fields = zip(*((c.key, c.unit, c.shape, c.positive) for c in way.columns), strict=True)
         keys, unit, shape, positive = (tuple(f) for f in fields)
         placed.setdefault(way.term, []).append(Variant(way.term, first, keys, unit, shape, positive, way.at))
         first += len(keys)
-    seen = _inner_products(problem, lin, matrix, len(shared), correlation)
+        priors.append(way.precision)
+    disturbance = Disturbance.grid(len(data.model.terms) - len(baseline))
+    plain = _inner_products(problem, lin, matrix, len(shared), correlation, disturbance)
+    seen = plain.with_precisions([(v.places, prior) for v, prior in zip(_flat(placed), priors, strict=True)])
     return Responses(fitted, seen, {term: tuple(of) for term, of in placed.items()})
+
+
+def _flat(placed: Mapping[str, Sequence[Variant]]) -> list[Variant]:
+    """All variants in the order of their places."""
+    return sorted((v for of in placed.values() for v in of), key=lambda v: v.first)
+
+
+def _as_curve(problem: Problem, way: _Way) -> list[_Way]:
+    """A term as it is, or a curve with each of its smoothnesses."""
+    model = problem.model
+    if isinstance(model, ExtendedModel) and way.columns[0].key == model.coefficients[0].key:
+        return _smooth(way, model.spline.roughness)
+    return [way]
+
+
+def _smooth(way: _Way, roughness: FloatArray) -> list[_Way]:
+    """A curve with each of the smoothnesses that the prior holds possible."""
+    count = len(way.columns)
+    rough = roughness * (count / float(np.trace(roughness)))
+    return [replace(way, precision=weight * rough + np.eye(count)) for weight in SMOOTHNESS]
 
 
 def _explained(fitted: Fitted, ways: Sequence[_Way]) -> FloatArray:
@@ -261,7 +314,12 @@ def _proportional(tried: Mapping[float, tuple[float, FloatArray]]) -> bool:
 
 
 def _inner_products(
-    problem: Problem, lin: Linearised, matrix: FloatArray, baseline: int, correlation: FloatArray
+    problem: Problem,
+    lin: Linearised,
+    matrix: FloatArray,
+    baseline: int,
+    correlation: FloatArray,
+    disturbance: Disturbance,
 ) -> Grams:
     """Of whitened columns, the windows' states taken out, under every size of the disturbance."""
     white = replace(lin, by_states=whitened(problem, lin.by_states, correlation))
@@ -271,7 +329,7 @@ def _inner_products(
     rho = float(np.mean(correlation))
     telling = min(1.0, problem.telling * (1.0 + rho) / (1.0 - rho))
     dof = len(matrix) * telling - lin.by_states.shape[1] * len(problem.edges)
-    return grams(seen, baseline, products, strength, max(dof, 10.0), Disturbance.grid())
+    return grams(seen, baseline, products, strength, max(dof, 10.0), disturbance)
 
 
 def whitened(problem: Problem, columns: FloatArray, correlation: FloatArray) -> FloatArray:
@@ -292,9 +350,10 @@ def _modes(problem: Problem, white: Linearised, correlation: FloatArray) -> tupl
         return np.empty((len(problem.owner), 0)), np.empty(0)
     channels = len(problem.sigma)
     edges = np.append(problem.edges, len(problem.owner)) // channels
-    cosines = np.empty((len(problem.owner), MODES * channels))
-    k = np.arange(MODES)
-    amplitude = 1.0 / np.sqrt(1.0 + (k / CORNER) ** 4)
+    window = float(np.max(np.diff(edges))) * problem.record.period / problem.model.horizon
+    k = np.arange(max(int(np.ceil(2.0 * FASTEST * window)), FEWEST_MODES))
+    cosines = np.empty((len(problem.owner), len(k) * channels))
+    amplitude = 1.0 / np.sqrt(1.0 + (k / (2.0 * CORNER * window)) ** 4)
     for first, last in pairwise(edges):
         t = (np.arange(last - first) + 0.5) / (last - first)
         shapes = np.cos(np.pi * k * t[:, None]) * amplitude

@@ -13,13 +13,22 @@ from labhil.diagnose.evidence import Evidence
 from labhil.diagnose.found import Found, Rival, Step
 from labhil.diagnose.judge import Data
 from labhil.diagnose.screen import Progress, candidates
-from labhil.diagnose.structures.enumerate import Enumeration, Predicted, Structure
-from labhil.diagnose.structures.responses import Responses, responses
+from labhil.diagnose.structures.curves import CurveSearch
+from labhil.diagnose.structures.enumerate import Choice, Enumeration, Predicted, Structure
+from labhil.diagnose.structures.responses import responses
+from labhil.ending import EndedEarly, accept
 from labhil.identify.fitted import Fitted, fit_terms
 from labhil.identify.noise import lasting_noise
+from labhil.identify.problem import Problem
 from labhil.identify.waves import starts_beside
-from labhil.physics.model import index_of
+from labhil.identify.window_states import FIRST_GROWN, grow_states
+from labhil.identify.windows import fit_windows
+from labhil.physics.extra_force import Yielding
+from labhil.physics.model import Model, index_of
 from labhil.signals import FloatArray
+
+CURVE_WINDOW = 1.5
+"""Scored horizons of the windows on which curves are weighed: on longer ones few are linear enough."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,13 +41,16 @@ class Options:
         refits: structures that are refitted in each round, at most.
         margin: nats by which an enumerated structure may be behind the best to be refitted.
         claim: odds (nats) that the best structure needs over the one without a term.
+        few: terms beside the best structure's up to which one is refitted for what it promises where nothing
+            disturbs: from afar a linear response understates a term, but many of them stand in for anything.
     """
 
-    horizons: tuple[float, ...] = (0.375, 1.5)
+    horizons: tuple[float, ...] = (0.375, 1.5, 3.0)
     rounds: int = 5
     refits: int = 3
     margin: float = 5.0
     claim: float = 5.0
+    few: int = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +59,9 @@ class Refitted:
 
     fitted: Fitted
     log_evidence: float
-    responses: Responses
+    undisturbed: float
+    choice: Choice
+    view: Enumeration
 
 
 @dataclass(slots=True)
@@ -68,6 +82,25 @@ class SearchState:
         return known | {s: r.log_evidence for s, r in self.refitted.items()}
 
 
+LEADING = 3
+"""Structures of a stage with which the next one begins, at most, beside the baseline."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """What a search visited on windows of one length."""
+
+    data: Data
+    state: SearchState
+
+    @property
+    def leading(self) -> list[Fitted]:
+        """The baseline and the likeliest structures."""
+        by_evidence = sorted(self.state.refitted, key=lambda s: -self.state.refitted[s].log_evidence)
+        chosen = dict.fromkeys([frozenset[str](), *by_evidence[:LEADING]])
+        return [self.state.refitted[structure].fitted for structure in chosen]
+
+
 @dataclass(frozen=True, slots=True)
 class StructureSearch:
     """A search over sets of terms that are added to a baseline."""
@@ -84,7 +117,8 @@ class StructureSearch:
         return frozenset(self.baseline)
 
     @property
-    def _candidates(self) -> int:
+    def candidates(self) -> int:
+        """How many terms may be added."""
         return len(candidates(self.data.model, self.baseline))
 
     def run(self, begin: Sequence[Fitted]) -> SearchState:
@@ -99,23 +133,45 @@ class StructureSearch:
                 looked.add(best)
                 view = self._view(state.refitted[best].fitted)
                 state.predicted = view.best()
+                for narrow in self._narrowed(state):
+                    self._enter(state, self._refit(state, narrow))
             if not self._refit_promising(state) and state.best in looked:
                 break
         return state
 
+    def _narrowed(self, state: SearchState) -> list[Predicted]:
+        """The best structure with what a term becomes without its width, begun at that term's size."""
+        model, best = self.data.model, state.best
+        theta, places = state.refitted[best].fitted.theta, index_of(model.parameters)
+        found = []
+        for term in best:
+            narrow = model.terms[term].narrow
+            structure = (best - {term}) | {narrow} if narrow else best
+            if not narrow or narrow in best or structure in state.refitted:
+                continue
+            size, own = (places[model.terms[key].parameters[0].key] for key in (narrow, term))
+            values = {model.parameters[size].key: max(float(theta[own]), 0.0)}
+            found.append(Predicted(structure, -np.inf, -np.inf, values))
+        return found
+
     def _view(self, fitted: Fitted) -> Enumeration:
         self.progress(f"evidence of all structures beside {', '.join(fitted.terms)}")
         seen = responses(self.data, fitted, self.baseline, self.correlation, self.executor)
-        return Enumeration(self.data.model, seen, self._base, self._candidates)
+        return Enumeration(self.data.model, seen, self._base, self.candidates)
 
     def _refit_promising(self, state: SearchState) -> bool:
         """Refit the most promising structures that were not refitted yet; whether there were any."""
-        top = state.refitted[state.best].log_evidence
-        waiting = [
-            p for s, p in state.predicted.items()
-            if s not in state.refitted and p.log_evidence > top - self.options.margin
-        ]  # fmt: skip
-        waiting = sorted(waiting, key=lambda p: -p.log_evidence)[: self.options.refits]
+        likely = max(r.log_evidence for r in state.refitted.values())
+        plain = max(r.undisturbed for r in state.refitted.values())
+        most = len(state.best) + self.options.few
+
+        def promise(p: Predicted) -> float:
+            by_itself = p.undisturbed - plain if len(p.structure) <= most else -np.inf
+            return float(max(p.log_evidence - likely, by_itself))
+
+        new = [p for s, p in state.predicted.items() if s not in state.refitted]
+        promising = sorted((p for p in new if promise(p) > -self.options.margin), key=lambda p: -promise(p))
+        waiting = promising[: self.options.refits]
         for predicted in waiting:
             self.progress(f"refitting {', '.join(sorted(predicted.structure)) or 'the baseline'}")
             self._enter(state, self._refit(state, predicted))
@@ -144,9 +200,10 @@ class StructureSearch:
         if known is not None and known.fitted.solution.cost <= fitted.solution.cost:
             return
         seen = responses(self.data, fitted, self.baseline, self.correlation, self.executor, absent=())
-        own = Enumeration(self.data.model, seen, self._base, self._candidates)
+        own = Enumeration(self.data.model, seen, self._base, self.candidates)
         choice = tuple(seen.variants[t][0] for t in fitted.terms if t in structure and t in seen.variants)
-        state.refitted[structure] = Refitted(fitted, own.evaluate([choice])[0].log_evidence, seen)
+        stands = own.evaluate([choice])[0]
+        state.refitted[structure] = Refitted(fitted, stands.log_evidence, stands.undisturbed, choice, own)
 
 
 def search_structures(
@@ -154,68 +211,128 @@ def search_structures(
 ) -> Found:
     """Find the likeliest terms beside a fitted baseline, by one evidence."""
     options = options or Options()
+    correlation = lasting_noise(data.model, baseline.theta, data.search, data.sigma).correlation
+    finished: list[Stage] = []
+    complete = True
+    try:
+        with ThreadPoolExecutor(cores()) as executor:
+            for stage in _stages(data, options):
+                begin = finished[-1].leading if finished else [baseline]
+                if data.model.state_names:
+                    begin = [on_windows(stage, fitted) for fitted in begin]
+                search = StructureSearch(stage, baseline.terms, correlation, executor, progress, options)
+                finished.append(Stage(stage, search.run(begin)))
+    except EndedEarly:
+        accept()
+        complete = False
+    looks = len(candidates(data.model, baseline.terms))
+    if not finished:
+        return Found(baseline, baseline, (), (), 1.0, looks, complete=False)
+    found = replace(_concluded(finished[-1], options, looks), complete=complete)
+    return _with_curve(data, found, correlation, progress) if complete else found
+
+
+def _stages(data: Data, options: Options) -> list[Data]:
+    """The data on the windows of each stage; inverse dynamics has no windows and one stage."""
+    if not data.model.state_names:
+        return [data]
+    lengths = (min(h * data.model.horizon, data.search.longest) for h in options.horizons)
+    return [replace(data, window=length) for length in dict.fromkeys(lengths)]
+
+
+def _with_curve(data: Data, found: Found, correlation: FloatArray, progress: Progress) -> Found:
+    """What is named beside the likeliest curve, and that; all that is named where no curve is likelier."""
     model = data.model
-    correlation = lasting_noise(model, baseline.theta, data.search, data.sigma).correlation
-    lengths = options.horizons if model.state_names else options.horizons[-1:]
-    begin, stage, state = [baseline], data, SearchState()
-    with ThreadPoolExecutor(cores()) as executor:
-        for horizons in lengths:
-            window = min(horizons * model.horizon, data.search.longest)
-            if model.state_names:
-                stage = replace(data, window=window)
-                begin = [_on_windows(stage, fitted) for fitted in begin]
-            search = StructureSearch(stage, baseline.terms, correlation, executor, progress, options)
-            state = search.run(begin)
-            leading = sorted(state.refitted.values(), key=lambda r: -r.log_evidence)[:3]
-            begin = [
-                state.refitted[frozenset()].fitted,
-                *(r.fitted for r in leading if r.fitted.terms != baseline.terms),
-            ]
-    return _concluded(stage, state, baseline.terms, options, search._candidates)
+    if not isinstance(model, Yielding) or not model.state_names:
+        return found
+    progress("a force over each coordinate in turn, instead of what is named and beside it")
+    shorter = replace(data, window=min(CURVE_WINDOW * model.horizon, data.search.longest))
+    curve = CurveSearch(shorter, found.baseline.terms, correlation).run(on_windows(shorter, found.final))
+    if curve is None:
+        return found
+    steps = tuple(step for step in found.missing if step.terms[0] in curve.beside.terms)
+    return replace(found.ending(_unplaced(shorter, curve.beside), steps), curve=curve)
 
 
-def _on_windows(data: Data, fitted: Fitted) -> Fitted:
-    """Refit on the data's windows."""
-    if abs(fitted.window - data.window) < 1e-9:
-        return fitted
+def _unplaced(data: Data, beside: Fitted) -> Fitted:
+    """The fit beside a curve, of the model that other results are of."""
+    if len(beside.problem.model.state_names) == len(data.model.state_names):
+        return beside
     return fit_terms(
-        data.model, data.search, fitted.terms, data.window, data.sigma, start=fitted.theta, new_terms=(),
-        iterations=25, tolerance=1e-4, held=data.held,
+        data.model, data.search, beside.terms, data.window, data.sigma, start=beside.theta, starts=[{}],
+        held=data.held,
     )  # fmt: skip
 
 
-def _concluded(
-    data: Data, state: SearchState, baseline: tuple[str, ...], options: Options, looks: int
-) -> Found:
+def on_windows(data: Data, fitted: Fitted) -> Fitted:
+    """Refit on the data's windows, beginning at states that fit these with the parameters as they are."""
+    if abs(fitted.window - data.window) < 1e-9:
+        return fitted
+    old = fitted.problem
+    windows = fit_windows(data.search, data.window)
+    problem = Problem(old.model, data.search, windows, old.free, fitted.theta, old.sigma)
+    states = grow_states(problem, fitted.solution.point.z, FIRST_GROWN * data.model.horizon)
+    return fit_terms(
+        data.model, data.search, fitted.terms, data.window, data.sigma, start=fitted.theta, new_terms=(),
+        states=states, iterations=25, tolerance=1e-4, held=data.held,
+    )  # fmt: skip
+
+
+def _concluded(stage: Stage, options: Options, looks: int) -> Found:
     """The best structure with its rivals; nothing where the data do not speak for it."""
+    state = stage.state
     base = state.refitted[frozenset()].fitted
-    known = state.log_evidence()
     best = state.best
     fitted = state.refitted[best].fitted
-    steps = []
-    places = index_of(data.model.parameters)
-    for term in sorted(best):
-        if any(term in data.model.terms[t].with_terms for t in best):
-            own = [places[p.key] for p in data.model.terms[term].parameters if not p.shape]
-            if np.all(fitted.theta[own] == 0.0):
-                continue
-        left = frozenset(t for t in best if t != term and term not in data.model.terms[t].with_terms)
-        odds = known[best] - known.get(left, min(known.values()))
-        if odds > options.claim:
-            steps.append(
-                Step((term,), Evidence(-2.0 * odds, float(np.exp(-odds)), odds), float(np.exp(-odds)), True)
-            )
+    claims = {term: log_odds(stage.data.model, state, term) for term in best}
+    shares = inclusion(state)
+    steps = [_step(term, odds, shares[term]) for term, odds in claims.items() if odds > options.claim]
     steps.sort(key=lambda s: s.evidence.delta_bic)
+    known = state.log_evidence()
     p_value = float(np.exp(min(known[frozenset()] - known[best], 0.0)))
     found = Found(base, fitted, tuple(steps), _rivals(state, best), p_value, looks)
     return found.ending(fitted, tuple(steps))
 
 
+def _step(term: str, odds: float, probability: float) -> Step:
+    against = float(np.exp(-odds))
+    return Step((term,), Evidence(-2.0 * odds, against, odds), against, True, probability)
+
+
+def inclusion(state: SearchState) -> dict[str, float]:
+    """Return the posterior probability of every term: of all visited structures that have it."""
+    known = state.log_evidence()
+    structures, logs = list(known), np.array(list(known.values()))
+    weights = np.exp(logs - logs.max())
+    weights /= weights.sum()
+    found: dict[str, float] = {}
+    for structure, weight in zip(structures, weights.tolist(), strict=True):
+        for term in structure:
+            found[term] = found.get(term, 0.0) + weight
+    return found
+
+
+def log_odds(model: Model, state: SearchState, term: str) -> float:
+    """Return the log odds that the best structure needs a term, whatever else builds on it.
+
+    Against the structure without it as that was refitted, or as the best one's own linearisation predicts it.
+    """
+    best = state.best
+    own = state.refitted[best]
+    alone = [v for v in own.choice if v.term != term]
+    without = own.view.evaluate([tuple(alone)])[0].log_evidence
+    carriers = {t for t in best if term in model.terms[t].with_terms}
+    if not carriers and best - {term} in state.refitted:
+        without = state.refitted[best - {term}].log_evidence
+    return own.log_evidence - without
+
+
 def _rivals(state: SearchState, best: Structure) -> tuple[Rival, ...]:
     """Structures that have another term in the place of one, within 5 nats."""
-    known, found = state.log_evidence(), []
+    known, found, shares = state.log_evidence(), [], inclusion(state)
     for structure, value in known.items():
         gone, new = best - structure, structure - best
         if len(gone) == 1 and len(new) == 1 and known[best] - value < 5.0:
-            found.append(Rival(next(iter(new)), next(iter(gone)), 2.0 * (known[best] - value)))
+            rival = next(iter(new))
+            found.append(Rival(rival, next(iter(gone)), 2.0 * (known[best] - value), shares[rival]))
     return tuple(sorted(found, key=lambda r: r.delta_bic))
