@@ -8,6 +8,7 @@ from labhil.diagnose.collapsed import Collapsed
 from labhil.diagnose.evidence import Evidence
 from labhil.diagnose.intake import Fault
 from labhil.diagnose.locate import Location
+from labhil.diagnose.remainder import Remainder
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score
 from labhil.identify.statistics import Estimate
@@ -110,7 +111,8 @@ class Diagnosis:
     ``faults`` are those of the data, whether or not they make them unfit. ``wider`` says that scores are on
     parts of what was held out, and that the parts between were searched; ``shorter`` are scores before and
     after on windows as short as the search's, where the answer only shows on those. ``collapsed`` are sizes
-    of the rig that the baseline alone takes far from what is known of them. ``curve`` is the
+    of the rig that the baseline alone takes far from what is known of them. ``remainder`` is what the answer
+    explains and what it leaves. ``curve`` is the
     strongest one, ``further_curves`` are those of an arm's other joints. ``complete`` is False where it was
     ended early, with the best so far.
     """
@@ -143,6 +145,7 @@ class Diagnosis:
     collapsed: tuple[Collapsed, ...] = ()
     wider: bool = False
     complete: bool = True
+    remainder: Remainder | None = None
 
     @property
     def named(self) -> list[str]:

@@ -21,6 +21,7 @@ from labhil.diagnose.found import Found
 from labhil.diagnose.intake import Fault, usable
 from labhil.diagnose.judge import NEEDED_BIC, TOGETHER, Data
 from labhil.diagnose.load import with_load
+from labhil.diagnose.remainder import find_remainder
 from labhil.diagnose.rest import left_by, unexplained
 from labhil.diagnose.search import onward, search
 from labhil.diagnose.structures.conclude import conclude
@@ -135,7 +136,14 @@ def diagnose(
         shorter=end.on_shorter_windows,
         wider=wider,
         complete=found.complete,
+        remainder=find_remainder(_names(found, told), *end.accepted, end.data.test, end.before, end.after),
     )
+
+
+def _names(found: Found, curves: Sequence[Unmodelled]) -> list[str]:
+    """What was found: keys of terms, and what each curve is over."""
+    over = [f"a force over {curve.depends_on[0]}" for curve in curves]
+    return [*(step.terms[0] for step in found.missing), *over]
 
 
 def _baseline(data: Data, terms: Sequence[str]) -> tuple[Data, Fitted, bool]:

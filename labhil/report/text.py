@@ -270,6 +270,8 @@ def _found(diagnosis: DiagnosisPart) -> Iterator[RenderableType]:
             f"  or {keyed(rival.term, rival.joint)} instead of {rival.instead_of} "
             f"({_chance(rival.probability)}); to tell: {rival.experiment}"
         )
+    if diagnosis.remainder is not None:
+        yield Text(diagnosis.remainder.statement)
     for change in diagnosis.changed:
         yield Text(
             f"• {keyed(change.name, change.joint, change.recording)} changed from "

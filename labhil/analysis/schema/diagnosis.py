@@ -237,6 +237,26 @@ class RecordingImprovement(Part):
     per_channel: tuple[ChannelImprovement, ...]
 
 
+class Remainder(Part):
+    """What the answer explains of the error on data that the search never saw, and what remains.
+
+    Attributes:
+        explained: Share of the squared error beyond the noise that is gone, of the worst output.
+        noise_floors: RMSE that remains there, over the noise floor.
+        channel: That output.
+        joint: Its joint, from 0, of an arm.
+        regimes: Ranges of a coordinate that hold most of what remains.
+        statement: The same in a sentence or two.
+    """
+
+    explained: Number
+    noise_floors: Number
+    channel: str
+    joint: int | None = None
+    regimes: tuple[Regime, ...] = ()
+    statement: str
+
+
 class ShorterWindows(Part):
     """The headline before and after on windows as short as the search's."""
 
@@ -357,6 +377,7 @@ class DiagnosisPart(Part):
     undecided: tuple[UndecidedEffect, ...] = ()
     excluded: tuple[ExcludedEffect, ...] = ()
     improvement: Improvement | None = None
+    remainder: Remainder | None = None
     final: FittedModel
     curve: EstimatedCurve | None = None
     further_curves: tuple[EstimatedCurve, ...] = ()

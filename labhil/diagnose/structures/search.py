@@ -14,7 +14,7 @@ from labhil.diagnose.found import Found, Rival, Step
 from labhil.diagnose.judge import Data
 from labhil.diagnose.screen import Progress, candidates
 from labhil.diagnose.structures.curves import CurveSearch
-from labhil.diagnose.structures.enumerate import Choice, Enumeration, Predicted, Structure
+from labhil.diagnose.structures.enumerate import Choice, Enumeration, Predicted, Structure, closed
 from labhil.diagnose.structures.responses import responses
 from labhil.ending import EndedEarly, accept
 from labhil.identify.fitted import Fitted, fit_terms
@@ -280,18 +280,35 @@ def on_windows(data: Data, fitted: Fitted) -> Fitted:
 
 def _concluded(stage: Stage, options: Options, looks: int) -> Found:
     """The best structure with its rivals; nothing where the data do not speak for it."""
-    state = stage.state
+    state, model = stage.state, stage.data.model
     base = state.refitted[frozenset()].fitted
     best = state.best
-    fitted = state.refitted[best].fitted
-    claims = {term: log_odds(stage.data.model, state, term) for term in best}
+    claims = {term: log_odds(model, state, term) for term in best}
     shares = inclusion(state)
     steps = [_step(term, odds, shares[term]) for term, odds in claims.items() if odds > options.claim]
     steps.sort(key=lambda s: s.evidence.delta_bic)
     known = state.log_evidence()
     p_value = float(np.exp(min(known[frozenset()] - known[best], 0.0)))
-    found = Found(base, fitted, tuple(steps), _rivals(state, best), p_value, looks)
-    return found.ending(fitted, tuple(steps))
+    claimed = closed(model, (step.terms[0] for step in steps), frozenset(base.terms))
+    found = Found(base, _with_only(stage, claimed), tuple(steps), _rivals(state, best), p_value, looks)
+    return found.ending(found.final, found.missing)
+
+
+def _with_only(stage: Stage, structure: Structure) -> Fitted:
+    """The best fit, without terms of which too little is known to claim them."""
+    state = stage.state
+    if structure in state.refitted:
+        return state.refitted[structure].fitted
+    data, near = stage.data, state.refitted[state.best].fitted
+    kept = [t for t in near.terms if t not in state.best or t in structure]
+    theta = near.theta.copy()
+    for i, parameter in enumerate(data.model.parameters):
+        if parameter.term is not None and parameter.term not in kept:
+            theta[i] = parameter.neutral
+    return fit_terms(
+        data.model, data.search, kept, data.window, data.sigma, start=theta, starts=[{}],
+        states=near.solution.point.states, held=data.held,
+    )  # fmt: skip
 
 
 def _step(term: str, odds: float, probability: float) -> Step:

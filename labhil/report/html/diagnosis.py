@@ -79,7 +79,9 @@ def _lead(diagnosis: DiagnosisPart) -> tuple[Content, ...]:
     what = tag("p", "Found: ", names(found), ".", class_="lead") if found else None
     where = diagnosis.location
     statement = tag("p", where.statement, class_="lead") if where else None
-    return what, statement, _figures(diagnosis)
+    rest = diagnosis.remainder
+    remains = tag("p", rest.statement, class_="lead") if rest else None
+    return what, statement, remains, _figures(diagnosis)
 
 
 def _figures(diagnosis: DiagnosisPart) -> Markup:
