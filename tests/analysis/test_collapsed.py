@@ -75,9 +75,12 @@ def test_an_offset_that_the_whole_motion_needs_is_named_and_no_curve_takes_its_p
     found = diagnose(model, learn, judge, heldout_is_test=False, baseline=["viscous_friction"])
     first = found.missing[0]
     assert (found.verdict, first.term) == ("missing_physics", "constant_force")
-    assert first.parameters[0].value == pytest.approx(-GAIN * np.sin(0.06), rel=0.02)
-    gain = next(row for row in found.final if row.name == "acceleration_per_radian")
-    assert gain.value == pytest.approx(GAIN, rel=0.02)
+    # the reading's own gain, where it is named too, scales both
+    values = {row.name: row.value for row in found.final}
+    reading = 1.0 + values.get("sensor_gain.gain", 0.0)
+    assert reading * first.parameters[0].value == pytest.approx(-GAIN * np.sin(0.06), rel=0.02)
+    assert reading * values["acceleration_per_radian"] == pytest.approx(GAIN, rel=0.02)
+    assert found.curve is None
 
 
 def test_sizes_that_are_known_as_a_ratio_only_have_not_given_way():

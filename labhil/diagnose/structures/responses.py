@@ -40,6 +40,11 @@ PROPORTIONAL = 0.3
 SMOOTHNESS = (1e-2, 1.0, 1e2)
 """Weights of a curve's roughness in its prior, over one that lets each coefficient be what it likes."""
 
+STANDS_FOR = 1e-6
+"""Share of a response's square that is left beside the baseline's when these can stand for it: a sensor's
+gain and a rig's own. Such a term cannot be seen, and a prior sized by its response would make it enormous.
+Where they cannot, a few 10⁻⁴ are left at least; where they can, 10⁻⁷ and less, by rounding."""
+
 TRIES = 5
 """Simulations that may go into finding the step of one size."""
 
@@ -171,7 +176,14 @@ def responses(
     disturbance = Disturbance.grid(len(data.model.terms) - len(baseline))
     plain = _inner_products(problem, lin, matrix, len(shared), correlation, disturbance)
     seen = plain.with_precisions([(v.places, prior) for v, prior in zip(_flat(placed), priors, strict=True)])
-    return Responses(fitted, seen, {term: tuple(of) for term, of in placed.items()})
+    kept = {term: _visible(seen, of, term in fitted.terms) for term, of in placed.items()}
+    return Responses(fitted, seen, {term: of for term, of in kept.items() if of})
+
+
+def _visible(seen: Grams, variants: Sequence[Variant], present: bool) -> tuple[Variant, ...]:
+    """Variants that the baseline's own parameters cannot stand for; all of a term that the fit has."""
+    left = np.diag(seen.seen[0]) / np.maximum(np.diag(seen.raw), 1e-300)
+    return tuple(v for v in variants if present or max(left[place] for place in v.places) > STANDS_FOR)
 
 
 def _flat(placed: Mapping[str, Sequence[Variant]]) -> list[Variant]:

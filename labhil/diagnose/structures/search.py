@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from labhil.cores import cores
+from labhil.diagnose.collapsed import given_way
 from labhil.diagnose.evidence import Evidence
 from labhil.diagnose.found import Found, Rival, Step
 from labhil.diagnose.judge import Data
@@ -103,7 +104,11 @@ class Stage:
 
 @dataclass(frozen=True, slots=True)
 class StructureSearch:
-    """A search over sets of terms that are added to a baseline."""
+    """A search over sets of terms that are added to a baseline.
+
+    ``nominal`` are values by key of the rig's own sizes that gave way in the baseline: refits begin there,
+    too, for the physics that is missing may bring them back.
+    """
 
     data: Data
     baseline: tuple[str, ...]
@@ -111,6 +116,7 @@ class StructureSearch:
     executor: Executor
     progress: Progress
     options: Options = Options()
+    nominal: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def _base(self) -> frozenset[str]:
@@ -189,6 +195,8 @@ class StructureSearch:
         starts: list[Mapping[str, float]] = [predicted.values]
         if fresh:
             starts += starts_beside(near, fresh)[1:2]
+        if self.nominal:
+            starts.append({**predicted.values, **self.nominal})
         return fit_terms(
             model, self.data.search, terms, self.data.window, self.data.sigma, start=theta, starts=starts,
             states=near.solution.point.states, iterations=25, tolerance=1e-4, held=self.data.held,
@@ -215,12 +223,15 @@ def search_structures(
     finished: list[Stage] = []
     complete = True
     try:
+        nominal = {size.key: size.nominal for size in given_way(data, baseline)}
         with ThreadPoolExecutor(cores()) as executor:
             for stage in _stages(data, options):
                 begin = finished[-1].leading if finished else [baseline]
                 if data.model.state_names:
                     begin = [on_windows(stage, fitted) for fitted in begin]
-                search = StructureSearch(stage, baseline.terms, correlation, executor, progress, options)
+                search = StructureSearch(
+                    stage, baseline.terms, correlation, executor, progress, options, nominal
+                )
                 finished.append(Stage(stage, search.run(begin)))
     except EndedEarly:
         accept()
