@@ -67,7 +67,7 @@ def test_what_remains_is_told_with_its_size_and_its_place(rig):
     assert 0.5 < found.explained < 0.9999
     assert found.noise_floors > 1.5
     assert {regime.coordinate for regime in found.regimes} == {"ball_velocity"}
-    assert all(regime.low < 0.03 and regime.high > -0.03 for regime in found.regimes)
+    assert any(regime.low < 0.0 < regime.high for regime in found.regimes)
     assert "noise floors remain" in found.statement
     assert "near reversals" in found.statement
 
