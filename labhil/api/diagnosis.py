@@ -321,6 +321,7 @@ def diagnose(
     device: str | None = None,
     run: int | None = None,
     seconds: float | None = None,
+    method: str = "search",
     progress: Progress = None,
     warn: Callable[[Iterable[str]], object] | None = None,
 ) -> Diagnosis:
@@ -342,6 +343,7 @@ def diagnose(
         device: Which device, where recordings hold several.
         run: Which run, from 1, where a file holds several.
         seconds: End after so many seconds, with the best so far.
+        method: ``search``, or ``evidence``: much faster, for simulated rigs so far.
         progress: A function that is told what is being done, or True for a line on stderr.
         warn: A function that is told, before the work begins, what the recordings lack, as lines.
 
@@ -382,5 +384,6 @@ def diagnose(
             baseline=names_of(baseline, "baseline"),
             reference=reference_of(reference, "reference"),
             progress=say,
+            method=method,
         )
     return Diagnosis(found.json, found, "" if found.diagnosis.complete else deadline.reason)

@@ -191,11 +191,7 @@ def settled_states(problem: Problem, z: FloatArray, *, thorough: bool = True) ->
 
     ``thorough`` as in :func:`held_at`.
     """
-    begun = tried(problem, z, fit_states(problem, z, problem.guess))
-    if problem.model.state_names and problem.record.longest > FIRST_GROWN * problem.model.horizon:
-        grown = grow_states(problem, z, FIRST_GROWN * problem.model.horizon)
-        begun = begun.or_better(problem, tried(problem, z, grown))
-    found = _turned(problem, z, begun)
+    found = _turned(problem, z, tried(problem, z, fit_states(problem, z, problem.guess)))
     found = rescued_states(problem, z, found)
     return _searched(problem, z, found) if thorough and problem.model.state_names else found
 

@@ -40,7 +40,7 @@ class Disturbance:
 
     @classmethod
     def grid(
-        cls, candidates: int, sizes: tuple[float, ...] = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
+        cls, candidates: int, sizes: tuple[float, ...] = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 1e3, 1e4)
     ) -> Disturbance:
         """A disturbance is as likely as one more of so many ``candidates``, and of any size alike."""
         some = 0.5 / (candidates + 1)

@@ -10,9 +10,9 @@ import numpy as np
 
 from labhil.cores import cores
 from labhil.diagnose.collapsed import given_way
-from labhil.diagnose.evidence import Evidence
+from labhil.diagnose.evidence import Evidence, best_heldout_gain
 from labhil.diagnose.found import Found, Rival, Step
-from labhil.diagnose.judge import Data
+from labhil.diagnose.judge import ALPHA, Data
 from labhil.diagnose.screen import Progress, candidates
 from labhil.diagnose.structures.curves import CurveSearch
 from labhil.diagnose.structures.enumerate import Choice, Enumeration, Predicted, Structure, closed
@@ -21,6 +21,7 @@ from labhil.ending import EndedEarly, accept
 from labhil.identify.fitted import Fitted, fit_terms
 from labhil.identify.noise import lasting_noise
 from labhil.identify.problem import Problem
+from labhil.identify.score import Score
 from labhil.identify.waves import starts_beside
 from labhil.identify.window_states import FIRST_GROWN, grow_states
 from labhil.identify.windows import fit_windows
@@ -240,6 +241,8 @@ def search_structures(
     if not finished:
         return Found(baseline, baseline, (), (), 1.0, looks, complete=False)
     found = replace(_concluded(finished[-1], options, looks), complete=complete)
+    if found.missing and not predicts_better(*(data.judge(f.theta) for f in (found.baseline, found.final))):
+        found = found.nothing
     return _with_curve(data, found, correlation, progress) if complete else found
 
 
@@ -261,8 +264,16 @@ def _with_curve(data: Data, found: Found, correlation: FloatArray, progress: Pro
     curve = CurveSearch(shorter, found.baseline.terms, correlation).run(on_windows(shorter, found.final))
     if curve is None:
         return found
+    extended = replace(data, model=curve.curved.model)
+    if not predicts_better(data.judge(found.final.theta), extended.judge(curve.curved.fitted.theta)):
+        return found
     steps = tuple(step for step in found.missing if step.terms[0] in curve.beside.terms)
     return replace(found.ending(_unplaced(shorter, curve.beside), steps), curve=curve)
+
+
+def predicts_better(before: Sequence[Score], after: Sequence[Score]) -> bool:
+    """Whether held-out data bear out a step: errors fall along it on windows of some length."""
+    return best_heldout_gain(before, after)[1] < ALPHA
 
 
 def _unplaced(data: Data, beside: Fitted) -> Fitted:
