@@ -104,8 +104,13 @@ def test_v_holds_a_recording_against_a_result_of_the_folder(folder: Path, size: 
         names = [str(shown.get_option_at_index(i).prompt) for i in range(shown.option_count)]
         assert names == ["ball_beam_identify.diagnosis.json", "ball_beam_identify.fit.json"]
         await pilot.press("down", "enter")
-        await until(pilot, lambda: isinstance(app.screen, Tell))
-        told = "\n".join(str(static.render()) for static in app.screen.query(Static))
+
+        def told_so_far() -> str:
+            return "\n".join(str(static.render()) for static in app.screen.query(Static))
+
+        # a screen is there before what it shows
+        await until(pilot, lambda: isinstance(app.screen, Tell) and bool(told_so_far()))
+        told = told_so_far()
         assert "verify ball_beam_identify" in told
         assert "p = " in told or "p-value" in told, told
         await pilot.press("escape")
