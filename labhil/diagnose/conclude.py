@@ -68,29 +68,44 @@ class Concluded:
         return data.judge(found.baseline.theta)[0], data.judge(found.final.theta)[0]
 
 
+@dataclass(frozen=True, slots=True)
+class HeldOutScores:
+    """Scores on held-out data ``before`` and ``after``, on the same windows and of the same noise (c,)."""
+
+    before: Score
+    after: Score
+    sigma: FloatArray
+    of_model: Callable[[Model, FloatArray], Score]
+
+    @classmethod
+    def of(cls, data: Data, found: Found) -> HeldOutScores:
+        """Those of a search; ``of_model`` scores any other model likewise."""
+        model, theta = data.model, found.final.theta
+        horizon = scored_horizon(model, theta, data.test)
+        noise = lasting_noise(model, theta, data.test, noise_of(data.test))
+        marked = partial(score, record=data.test, sigma=noise.sigma, horizon=horizon, lasts=noise.lasts)
+        before = marked(model, found.baseline.theta)
+        return cls(before, marked(model, theta) if found.missing else before, noise.sigma, marked)
+
+
 def concluded(data: Data, found: Found, left: FloatArray, progress: Callable[[str], None]) -> Concluded:
     """Judge what was found on held-out data, and look for a force without a name where that is not enough."""
     progress("scores, intervals and exclusion limits")
-    model, theta = data.model, found.final.theta
-    # the same windows and the same noise before and after
-    horizon = scored_horizon(model, theta, data.test)
-    noise = lasting_noise(model, theta, data.test, noise_of(data.test))
-    marked = partial(score, record=data.test, sigma=noise.sigma, horizon=horizon, lasts=noise.lasts)
-    before = marked(model, found.baseline.theta)
-    after = marked(model, theta) if found.missing else before
+    model, marked = data.model, HeldOutScores.of(data, found)
+    before, after = marked.before, marked.after
     if found.missing and _unnoticed(found, before, after):
         found, after, left = found.nothing, before, left_by(data, found.baseline)
     more = leaves_more(data, found, left, after.excess)
     if not found.complete:
-        return Concluded(data, found, (), more, before, after, noise.sigma)
+        return Concluded(data, found, (), more, before, after, marked.sigma)
     if more:
         progress("a force over each coordinate in turn, for no named effect explains the rest")
     look = beyond if more or model.metric is Metric.INVERSE_DYNAMICS else imitated
     several = on_several_windows(data, found)
     kept, curves = look(data, several, after.excess)
     kept = found if kept is several and not curves else kept
-    end = Concluded(data, kept, curves, more, before, after, noise.sigma)
-    return replace(end, after=marked(*end.accepted)) if curves or kept is not found else end
+    end = Concluded(data, kept, curves, more, before, after, marked.sigma)
+    return replace(end, after=marked.of_model(*end.accepted)) if curves or kept is not found else end
 
 
 def _unnoticed(found: Found, before: Score, after: Score) -> bool:

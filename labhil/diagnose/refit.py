@@ -7,7 +7,7 @@ from concurrent.futures import Executor
 
 from labhil.diagnose.evidence import bic, effective_samples
 from labhil.diagnose.judge import NEEDED_BIC, Data
-from labhil.identify.fitted import Fitted, fit_terms
+from labhil.identify.fitted import Fitted, fit_terms, with_only
 from labhil.identify.waves import starts_beside
 from labhil.physics.model import Model
 
@@ -78,17 +78,13 @@ def refit(
     tolerance: float = 1e-6,
 ) -> Fitted:
     """Fit ``terms`` from where a fit stands; those in ``fresh`` begin at each of their own starts."""
-    start = current.theta.copy()
-    for i, parameter in enumerate(data.model.parameters):
-        if parameter.term is not None and parameter.term not in terms:
-            start[i] = parameter.neutral
     return fit_terms(
         data.model,
         data.search,
         terms,
         data.window,
         data.sigma,
-        start=start,
+        start=with_only(data.model, current.theta, terms),
         states=current.solution.point.states,
         starts=starts_beside(current, fresh) if fresh else [{}],
         iterations=25,

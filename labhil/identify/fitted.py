@@ -80,6 +80,15 @@ def start_theta(model: Model, values: Mapping[str, float] | None = None) -> Floa
     return theta
 
 
+def with_only(model: Model, theta: FloatArray, terms: Collection[str]) -> FloatArray:
+    """The vector with everything neutral that belongs to a term which is not among these, by key."""
+    kept = theta.copy()
+    for i, parameter in enumerate(model.parameters):
+        if parameter.term is not None and parameter.term not in terms:
+            kept[i] = parameter.neutral
+    return kept
+
+
 def fit_terms(
     model: Model,
     record: Record,

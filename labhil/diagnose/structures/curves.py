@@ -19,7 +19,7 @@ from labhil.diagnose.structures.enumerate import Choice, Enumeration, Structure
 from labhil.diagnose.structures.responses import CurveColumns, responses
 from labhil.diagnose.unmodelled import given_coordinates, motion_coordinates, with_placed
 from labhil.identify.extended import NAME, Coordinate
-from labhil.identify.fitted import Fitted, fit_terms
+from labhil.identify.fitted import Fitted, fit_terms, with_only
 from labhil.physics.extra_force import MovedPart, Yielding
 from labhil.physics.terms import Enters
 from labhil.signals import FloatArray
@@ -150,14 +150,10 @@ class CurveSearch:
         terms = [t for t in fitted.terms if t in self.baseline or t in kept]
         if len(terms) == len(fitted.terms):
             return fitted
-        theta = fitted.theta.copy()
-        for i, parameter in enumerate(self.data.model.parameters):
-            if parameter.term is not None and parameter.term not in terms:
-                theta[i] = parameter.neutral
-        states = fitted.solution.point.states
+        model, start = fitted.problem.model, with_only(self.data.model, fitted.theta, terms)
         return fit_terms(
-            fitted.problem.model, self.data.search, terms, fitted.window, self.data.sigma, start=theta,
-            starts=[{}], states=states, held=self.data.held,
+            model, self.data.search, terms, fitted.window, self.data.sigma, start=start, starts=[{}],
+            states=fitted.solution.point.states, held=self.data.held,
         )  # fmt: skip
 
 

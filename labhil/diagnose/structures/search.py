@@ -18,7 +18,7 @@ from labhil.diagnose.structures.curves import CurveSearch
 from labhil.diagnose.structures.enumerate import Choice, Enumeration, Predicted, Structure, closed
 from labhil.diagnose.structures.responses import responses
 from labhil.ending import EndedEarly, accept
-from labhil.identify.fitted import Fitted, fit_terms
+from labhil.identify.fitted import Fitted, fit_terms, with_only
 from labhil.identify.noise import lasting_noise
 from labhil.identify.problem import Problem
 from labhil.identify.score import Score
@@ -120,10 +120,6 @@ class StructureSearch:
     nominal: Mapping[str, float] = field(default_factory=dict)
 
     @property
-    def _base(self) -> frozenset[str]:
-        return frozenset(self.baseline)
-
-    @property
     def candidates(self) -> int:
         """How many terms may be added."""
         return len(candidates(self.data.model, self.baseline))
@@ -138,33 +134,30 @@ class StructureSearch:
             best = state.best
             if best not in looked:
                 looked.add(best)
-                view = self._view(state.refitted[best].fitted)
-                state.predicted = view.best()
-                for narrow in self._narrowed(state):
-                    self._enter(state, self._refit(state, narrow))
+                near = state.refitted[best].fitted
+                self.progress(f"evidence of all structures beside {', '.join(near.terms)}")
+                state.predicted = self._at(near).best()
+                self._refit_narrowed(state)
             if not self._refit_promising(state) and state.best in looked:
                 break
         return state
 
-    def _narrowed(self, state: SearchState) -> list[Predicted]:
-        """The best structure with what a term becomes without its width, begun at that term's size."""
+    def _refit_narrowed(self, state: SearchState) -> None:
+        """Refit the best structure with what a term becomes without its width, begun at that term's size."""
         model, best = self.data.model, state.best
         theta, places = state.refitted[best].fitted.theta, index_of(model.parameters)
-        found = []
         for term in best:
             narrow = model.terms[term].narrow
-            structure = (best - {term}) | {narrow} if narrow else best
-            if not narrow or narrow in best or structure in state.refitted:
+            if not narrow or narrow in best or (best - {term}) | {narrow} in state.refitted:
                 continue
             size, own = (places[model.terms[key].parameters[0].key] for key in (narrow, term))
             values = {model.parameters[size].key: max(float(theta[own]), 0.0)}
-            found.append(Predicted(structure, -np.inf, -np.inf, values))
-        return found
+            self._enter(state, self._refit(state.refitted[best].fitted, (best - {term}) | {narrow}, values))
 
-    def _view(self, fitted: Fitted) -> Enumeration:
-        self.progress(f"evidence of all structures beside {', '.join(fitted.terms)}")
-        seen = responses(self.data, fitted, self.baseline, self.correlation, self.executor)
-        return Enumeration(self.data.model, seen, self._base, self.candidates)
+    def _at(self, fitted: Fitted, absent: Sequence[str] | None = None) -> Enumeration:
+        """What may be compared where a fit stands: its own terms, and all others or those ``absent``."""
+        seen = responses(self.data, fitted, self.baseline, self.correlation, self.executor, absent=absent)
+        return Enumeration(self.data.model, seen, frozenset(self.baseline), self.candidates)
 
     def _refit_promising(self, state: SearchState) -> bool:
         """Refit the most promising structures that were not refitted yet; whether there were any."""
@@ -181,36 +174,34 @@ class StructureSearch:
         waiting = promising[: self.options.refits]
         for predicted in waiting:
             self.progress(f"refitting {', '.join(sorted(predicted.structure)) or 'the baseline'}")
-            self._enter(state, self._refit(state, predicted))
+            near = state.refitted[state.best].fitted
+            self._enter(state, self._refit(near, predicted.structure, predicted.values))
         return bool(waiting)
 
-    def _refit(self, state: SearchState, predicted: Predicted) -> Fitted:
-        """Fit a structure from where its prediction stands."""
-        model, near = self.data.model, state.refitted[state.best].fitted
-        terms = (*self.baseline, *(t for t in model.terms if t in predicted.structure))
-        theta = near.theta.copy()
-        for i, parameter in enumerate(model.parameters):
-            if parameter.term is not None and parameter.term not in terms:
-                theta[i] = parameter.neutral
+    def _refit(self, near: Fitted, structure: Structure, values: Mapping[str, float]) -> Fitted:
+        """Fit a structure from where a fit stands, with these values by key."""
+        model = self.data.model
+        terms = (*self.baseline, *(t for t in model.terms if t in structure))
         fresh = [t for t in terms if t not in near.terms]
-        starts: list[Mapping[str, float]] = [predicted.values]
+        starts: list[Mapping[str, float]] = [values]
         if fresh:
             starts += starts_beside(near, fresh)[1:2]
         if self.nominal:
-            starts.append({**predicted.values, **self.nominal})
+            starts.append({**values, **self.nominal})
         return fit_terms(
-            model, self.data.search, terms, self.data.window, self.data.sigma, start=theta, starts=starts,
-            states=near.solution.point.states, iterations=25, tolerance=1e-4, held=self.data.held,
+            model, self.data.search, terms, self.data.window, self.data.sigma,
+            start=with_only(model, near.theta, terms), starts=starts, states=near.solution.point.states,
+            iterations=25, tolerance=1e-4, held=self.data.held,
         )  # fmt: skip
 
     def _enter(self, state: SearchState, fitted: Fitted) -> None:
-        structure = frozenset(fitted.terms) - self._base
+        structure = frozenset(fitted.terms) - frozenset(self.baseline)
         known = state.refitted.get(structure)
         if known is not None and known.fitted.solution.cost <= fitted.solution.cost:
             return
-        seen = responses(self.data, fitted, self.baseline, self.correlation, self.executor, absent=())
-        own = Enumeration(self.data.model, seen, self._base, self.candidates)
-        choice = tuple(seen.variants[t][0] for t in fitted.terms if t in structure and t in seen.variants)
+        own = self._at(fitted, absent=())
+        variants = own.responses.variants
+        choice = tuple(variants[t][0] for t in fitted.terms if t in structure and t in variants)
         stands = own.evaluate([choice])[0]
         state.refitted[structure] = Refitted(fitted, stands.log_evidence, stands.undisturbed, choice, own)
 
@@ -323,12 +314,9 @@ def _with_only(stage: Stage, structure: Structure) -> Fitted:
         return state.refitted[structure].fitted
     data, near = stage.data, state.refitted[state.best].fitted
     kept = [t for t in near.terms if t not in state.best or t in structure]
-    theta = near.theta.copy()
-    for i, parameter in enumerate(data.model.parameters):
-        if parameter.term is not None and parameter.term not in kept:
-            theta[i] = parameter.neutral
+    start = with_only(data.model, near.theta, kept)
     return fit_terms(
-        data.model, data.search, kept, data.window, data.sigma, start=theta, starts=[{}],
+        data.model, data.search, kept, data.window, data.sigma, start=start, starts=[{}],
         states=near.solution.point.states, held=data.held,
     )  # fmt: skip
 
