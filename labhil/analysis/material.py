@@ -72,14 +72,14 @@ class Material:
 
     def notes(self) -> list[str]:
         """What the model wants a person to know of what it took for known."""
-        told = list(self.model.notes) if isinstance(self.model, (ArmModel, SolenoidModel)) else []
+        notes = list(self.model.notes) if isinstance(self.model, (ArmModel, SolenoidModel)) else []
         units = {signal.name: signal.unit for signal in self.rig.kind.inputs}
-        told += smoothing_notes(self.measured, units.get(self.measured.input_names[0], ""))
+        notes += smoothing_notes(self.measured, units.get(self.measured.input_names[0], ""))
         if constant(self.learn.inputs).all():
             names = ", ".join(self.learn.input_names)
-            told.append(f"No input changes ({names}): only what the rig does by itself can be learnt.")
+            notes.append(f"No input changes ({names}): only what the rig does by itself can be learnt.")
         untimed = self.untimed()
-        return told if untimed is None else [*told, untimed]
+        return notes if untimed is None else [*notes, untimed]
 
     def untimed(self) -> str | None:
         """Why nobody knows whether the input is stamped late; None where that was checked."""

@@ -64,8 +64,10 @@ def connect(
         section = DeviceSection(plugin=driver, address=address, twin=TwinSection(**(twin or {})))
         devices = WithDevices(devices={DEVICE: section}, path=Path("labhil.connect"))
     except (ValidationError, TypeError) as error:
-        told = explain(error, Path("twin"), TwinSection) if isinstance(error, ValidationError) else str(error)
-        raise UsageError(told) from error
+        fault = (
+            explain(error, Path("twin"), TwinSection) if isinstance(error, ValidationError) else str(error)
+        )
+        raise UsageError(fault) from error
     plan, own = device_plan(devices, DEVICE), rig_file(rig)
     if own is not None and own.kind.name != plan.spec.rig:
         raise UsageError(f"rig: expected one of kind {plan.spec.rig!r}, as {driver}, found {own.kind.name!r}")
@@ -173,7 +175,7 @@ class Experiment:
 
         Args:
             out: The folder for the recording.
-            progress: A function that is told how far the run has come, or True for a bar on stderr.
+            progress: A function of how far the run has come, or True for a bar on stderr.
 
         Returns:
             ``path`` of the recording, ``exit_status``, ``reason``, ``error``, ``streams``.
@@ -201,7 +203,7 @@ class Experiment:
 
 
 def _nobody(progress: Progress) -> None:
-    """Nobody is told."""
+    """Nobody hears it."""
 
 
 def run(experiment: PathLike | Experiment, out: PathLike = ".", *, progress: RunProgress = None) -> Recording:
@@ -212,7 +214,7 @@ def run(experiment: PathLike | Experiment, out: PathLike = ".", *, progress: Run
     Args:
         experiment: The path of an experiment file, or an :class:`Experiment`.
         out: The folder for the recording.
-        progress: A function that is told how far the run has come, or True for a bar on stderr.
+        progress: A function of how far the run has come, or True for a bar on stderr.
 
     Returns:
         The recording.

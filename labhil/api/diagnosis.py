@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,6 @@ from labhil.analysis.schema import (
     Location,
     MissingEffect,
     Rival,
-    Source,
     UndecidedEffect,
     Verdict,
     checked,
@@ -25,18 +24,15 @@ from labhil.analysis.schema import (
 from labhil.api.inputs import (
     PathLike,
     Progress,
+    Warn,
+    material_of,
     names_of,
-    number_of,
     number_or_none,
-    path_of,
     reference_of,
-    rig_file,
-    span_of,
-    taken_of,
     telling,
 )
 from labhil.api.render import axes_of, channel_of
-from labhil.api.result import Result, parameter_frame, parameter_set, unsaved
+from labhil.api.result import ComputedResult, parameter_frame, parameter_set
 from labhil.api.simulation import Simulation, simulate
 from labhil.errors import UnknownNameError
 from labhil.physics.terms import keyed
@@ -46,7 +42,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import RenderableType
 
-    from labhil.analysis.results import SavedModel
     from labhil.analysis.study import DiagnosisResult
     from labhil.api.fit import Fit
     from labhil.api.model import Model
@@ -54,7 +49,7 @@ if TYPE_CHECKING:
     from labhil.rig import RigFile
 
 
-class Diagnosis(Result):
+class Diagnosis(ComputedResult["DiagnosisPart", "DiagnosisResult"]):
     """What a model lacks, where, and how much better it is with it. Made by :func:`labhil.diagnose` and
     :func:`labhil.load`; immutable.
 
@@ -80,14 +75,7 @@ class Diagnosis(Result):
         ended: str = "",
         name: str = "the diagnosis",
     ) -> None:
-        super().__init__(data, name)
-        self._part = checked(DiagnosisPart, data, name)
-        self._study, self._ended = study, ended
-
-    @property
-    def part(self) -> DiagnosisPart:
-        """All that the JSON says, with types."""
-        return self._part
+        super().__init__(data, checked(DiagnosisPart, data, name), study, ended, name)
 
     @property
     def verdict(self) -> Verdict:
@@ -156,24 +144,9 @@ class Diagnosis(Result):
         return tuple(each for each in (self._part.curve, *self._part.further_curves) if each is not None)
 
     @property
-    def recordings(self) -> tuple[Source, ...]:
-        """The recordings that it comes from: ``path``, ``sha256``, ``samples``, ``duration`` (s) of each."""
-        return self._part.recordings
-
-    @property
     def notes(self) -> tuple[str, ...]:
         """What is doubtful in the data, or was taken for known, a sentence each."""
         return (*self._part.doubts, *self._part.notes)
-
-    @property
-    def complete(self) -> bool:
-        """False where it was ended early, with the best so far."""
-        return self._part.complete
-
-    @property
-    def ended(self) -> str:
-        """Why it was ended early; empty where it was not, or where that is not known."""
-        return self._ended
 
     def __repr__(self) -> str:
         found = "\n".join(f"  {effect}" for effect in self.missing)
@@ -199,13 +172,6 @@ class Diagnosis(Result):
             MissingExtraError: xarray is not installed.
         """
         return parameter_set(self.final.parameters, None, {"verdict": self.verdict})
-
-    @property
-    def saved(self) -> SavedModel:
-        """The final model, to start from or to compare with."""
-        from labhil.analysis.results import SavedModel
-
-        return SavedModel(self._name, self._data)
 
     def simulate(self, rec: PathLike | Recording, *, horizon: float | None = None) -> Simulation:
         """Run the final model on a recording; as :meth:`labhil.Fit.simulate`."""
@@ -269,43 +235,20 @@ class Diagnosis(Result):
 
         return diagnosis_figure(self._drawn("figure").diagnosis)
 
-    def report(self, path: PathLike) -> Path:
-        """Write one HTML page about it, complete in itself.
-
-        Args:
-            path: The file to write.
-
-        Returns:
-            The path.
-
-        Raises:
-            UsageError: It cannot be written there.
-        """
+    def _write_page(self, file: Path) -> None:
         from labhil.report.html.diagnosis import diagnosis_page
         from labhil.report.html.page import write_page
         from labhil.report.html.picture import Album
         from labhil.report.html.study import foot_of, write_diagnosis_page
 
-        file = path_of(path, "path")
         if self._study is not None:
             write_diagnosis_page(self._study, file)
         else:
             write_page(diagnosis_page(self._part, foot_of(self._part), Album()), file)
-        return file
 
     def _place(self, channel: int | str) -> int:
         rows = self.improvement.after.scored if self.improvement is not None else ()
         return channel_of(channel, [keyed(row.channel, row.joint) for row in rows])
-
-    @property
-    def study(self) -> DiagnosisResult:
-        """The computation behind it, with its samples; UsageError of a result that was loaded or pickled."""
-        return self._drawn("study")
-
-    def _drawn(self, what: str) -> DiagnosisResult:
-        if self._study is None:
-            raise unsaved(what)
-        return self._study
 
 
 def diagnose(
@@ -323,7 +266,7 @@ def diagnose(
     seconds: float | None = None,
     method: str = "search",
     progress: Progress = None,
-    warn: Callable[[Iterable[str]], object] | None = None,
+    warn: Warn = None,
 ) -> Diagnosis:
     """Say where a model and a recording disagree, what physics is missing, and how much it helps.
 
@@ -344,8 +287,8 @@ def diagnose(
         run: Which run, from 1, where a file holds several.
         seconds: End after so many seconds, with the best so far.
         method: ``search``, or ``evidence``: much faster, for simulated rigs so far.
-        progress: A function that is told what is being done, or True for a line on stderr.
-        warn: A function that is told, before the work begins, what the recordings lack, as lines.
+        progress: A function of a line about what is being done, or True for a line on stderr.
+        warn: A function of the lines that say, before the work begins, what the recordings lack.
 
     Returns:
         The diagnosis: ``print`` it, read :attr:`Diagnosis.missing` and :attr:`Diagnosis.improvement`.
@@ -363,21 +306,11 @@ def diagnose(
         'no_mismatch'
     """
     from labhil.analysis.early import ending_early
-    from labhil.analysis.material import load_material
     from labhil.analysis.study import diagnose_study
 
-    material = load_material(
-        taken_of(rec, "rec"),
-        rig_file(model),
-        None if test is None else taken_of(test, "test"),
-        number_of(holdout, "holdout"),
-        names_of(per_recording, "per_recording") or (),
-        span=span_of(span),
-        device=device,
-        run=run,
+    material = material_of(
+        rec, model, test, holdout, per_recording, span=span, device=device, run=run, warn=warn
     )
-    if warn is not None:
-        warn(material.losses())
     with telling(progress) as say, ending_early(number_or_none(seconds, "seconds")) as deadline:
         found = diagnose_study(
             material,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -13,26 +13,22 @@ from labhil.analysis.schema import (
     Identifiability,
     Parameters,
     Score,
-    Source,
     WindowEstimate,
     checked,
 )
 from labhil.api.inputs import (
     PathLike,
     Progress,
+    Warn,
+    material_of,
     names_of,
-    number_of,
     number_or_none,
-    path_of,
     reference_of,
-    rig_file,
-    span_of,
-    taken_of,
     telling,
     whole_number_of,
 )
 from labhil.api.render import axes_of, channel_of
-from labhil.api.result import Result, parameter_frame, parameter_set, unsaved
+from labhil.api.result import ComputedResult, parameter_frame, parameter_set
 from labhil.api.simulation import Simulation, simulate
 from labhil.physics.terms import keyed
 from labhil.signals import FloatArray
@@ -42,7 +38,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import RenderableType
 
-    from labhil.analysis.results import SavedModel
     from labhil.analysis.study import FitResult
     from labhil.api.diagnosis import Diagnosis
     from labhil.api.model import Model
@@ -50,7 +45,7 @@ if TYPE_CHECKING:
     from labhil.rig import RigFile
 
 
-class Fit(Result):
+class Fit(ComputedResult["FitPart", "FitResult"]):
     """A fitted model, with errors that allow for correlated residuals. Made by :func:`labhil.fit` and
     :func:`labhil.load`; immutable.
 
@@ -76,14 +71,7 @@ class Fit(Result):
         ended: str = "",
         name: str = "the fit",
     ) -> None:
-        super().__init__(data, name)
-        self._part = checked(FitPart, data, name)
-        self._study, self._ended = study, ended
-
-    @property
-    def part(self) -> FitPart:
-        """All that the JSON says, with types."""
-        return self._part
+        super().__init__(data, checked(FitPart, data, name), study, ended, name)
 
     @property
     def kind(self) -> str:
@@ -141,24 +129,9 @@ class Fit(Result):
         return self._part.by_window
 
     @property
-    def recordings(self) -> tuple[Source, ...]:
-        """The recordings that it comes from: ``path``, ``sha256``, ``samples``, ``duration`` (s) of each."""
-        return self._part.recordings
-
-    @property
     def notes(self) -> tuple[str, ...]:
         """What is doubtful in the data, or was taken for known, a sentence each."""
         return (*(fault.statement for fault in self._part.faults), *self._part.doubts, *self._part.notes)
-
-    @property
-    def complete(self) -> bool:
-        """False where it was ended early, with the best so far."""
-        return self._part.complete
-
-    @property
-    def ended(self) -> str:
-        """Why it was ended early; empty where it was not, or where that is not known."""
-        return self._ended
 
     def __repr__(self) -> str:
         rows = "\n".join(f"  {row}" for row in self.parameters)
@@ -199,13 +172,6 @@ class Fit(Result):
             UsageError: The recording is of another rig, or too short.
         """
         return simulate(self.saved, rec, rig=self.kind, horizon=horizon)
-
-    @property
-    def saved(self) -> SavedModel:
-        """The result as a model to start from or to compare with."""
-        from labhil.analysis.results import SavedModel
-
-        return SavedModel(self._name, self._data)
 
     def plot(self, ax: Axes | None = None, *, channel: int | str = 0) -> Axes:
         """Draw the model beside the measurement, on the data that it is judged on.
@@ -264,42 +230,19 @@ class Fit(Result):
         study = self._drawn("figure")
         return fit_figure(study.fit, study.material.judge)
 
-    def report(self, path: PathLike) -> Path:
-        """Write one HTML page about it, complete in itself.
-
-        Args:
-            path: The file to write.
-
-        Returns:
-            The path.
-
-        Raises:
-            UsageError: It cannot be written there.
-        """
+    def _write_page(self, file: Path) -> None:
         from labhil.report.html.fit import fit_page
         from labhil.report.html.page import write_page
         from labhil.report.html.picture import Album
         from labhil.report.html.study import foot_of, write_fit_page
 
-        file = path_of(path, "path")
         if self._study is not None:
             write_fit_page(self._study, file)
         else:
             write_page(fit_page(self._part, foot_of(self._part), Album()), file)
-        return file
 
     def _place(self, channel: int | str) -> int:
         return channel_of(channel, [keyed(row.channel, row.joint) for row in self.train.scored])
-
-    @property
-    def study(self) -> FitResult:
-        """The computation behind it, with its samples; UsageError of a result that was loaded or pickled."""
-        return self._drawn("study")
-
-    def _drawn(self, what: str) -> FitResult:
-        if self._study is None:
-            raise unsaved(what)
-        return self._study
 
 
 def fit(
@@ -322,7 +265,7 @@ def fit(
     run: int | None = None,
     seconds: float | None = None,
     progress: Progress = None,
-    warn: Callable[[Iterable[str]], object] | None = None,
+    warn: Warn = None,
 ) -> Fit:
     """Fit a white-box model to one recording or several, and test it on data that it has not seen.
 
@@ -349,8 +292,8 @@ def fit(
         device: Which device, where recordings hold several.
         run: Which run, from 1, where a file holds several.
         seconds: End after so many seconds, with the best so far.
-        progress: A function that is told what is being done, or True for a line on stderr.
-        warn: A function that is told, before the work begins, what the recordings lack, as lines.
+        progress: A function of a line about what is being done, or True for a line on stderr.
+        warn: A function of the lines that say, before the work begins, what the recordings lack.
 
     Returns:
         The fit: ``print`` it, read :attr:`Fit.parameters` and :attr:`Fit.scores`.
@@ -368,26 +311,15 @@ def fit(
         'explained'
     """
     from labhil.analysis.early import ending_early
-    from labhil.analysis.material import load_material
     from labhil.analysis.study import fit_study
     from labhil.identify.estimators import estimator_named
     from labhil.identify.fit import Options, criterion_named
     from labhil.identify.intervals import interval_method
 
     method, metric = interval_method(intervals), criterion_named(criterion)
-    material = load_material(
-        taken_of(rec, "rec"),
-        rig_file(model),
-        None if test is None else taken_of(test, "test"),
-        number_of(holdout, "holdout"),
-        names_of(per_recording, "per_recording") or (),
-        span=span_of(span),
-        all_of_it=True,
-        device=device,
-        run=run,
+    material = material_of(
+        rec, model, test, holdout, per_recording, span=span, all_of_it=True, device=device, run=run, warn=warn
     )
-    if warn is not None:
-        warn(material.losses())
     with telling(progress) as say, ending_early(number_or_none(seconds, "seconds")) as deadline:
         length, draw = number_or_none(window, "window"), whole_number_of(seed, "seed")
         how = Options(length, method, simultaneous, estimator_named(estimator), draw, say, metric)

@@ -16,6 +16,7 @@ from labhil.kinds import kind_names
 from labhil.rig import RigFile, default_rig, load_rig
 
 if TYPE_CHECKING:
+    from labhil.analysis.material import Material
     from labhil.analysis.results import SavedModel
     from labhil.api.diagnosis import Diagnosis
     from labhil.api.fit import Fit
@@ -25,7 +26,9 @@ if TYPE_CHECKING:
 
 PathLike = str | os.PathLike[str]
 Progress = bool | Callable[[str], None] | None
-"""Who is told how far long work has come: a function of one text, True for a line on stderr, or nobody."""
+"""Who hears how far long work has come: a function of one text, True for a line on stderr, or nobody."""
+Warn = Callable[[Iterable[str]], object] | None
+"""Who hears what recordings lack: a function of some lines, or nobody."""
 
 SHORTEST_LIKENESS = 0.6
 
@@ -114,6 +117,38 @@ def taken_of(
     return [_taken(each, what) for each in several]
 
 
+def material_of(
+    rec: PathLike | Recording | Sequence[PathLike | Recording],
+    model: PathLike | Model | RigFile | None,
+    test: PathLike | Recording | Sequence[PathLike | Recording] | None,
+    holdout: object,
+    per_recording: Iterable[str] | str | None,
+    *,
+    span: object,
+    device: str | None,
+    run: int | None,
+    warn: Warn,
+    all_of_it: bool = False,
+) -> Material:
+    """The data that a fit or a diagnosis is made from; ``warn`` hears what they lack."""
+    from labhil.analysis.material import load_material
+
+    material = load_material(
+        taken_of(rec, "rec"),
+        rig_file(model),
+        None if test is None else taken_of(test, "test"),
+        number_of(holdout, "holdout"),
+        names_of(per_recording, "per_recording") or (),
+        span=span_of(span),
+        all_of_it=all_of_it,
+        device=device,
+        run=run,
+    )
+    if warn is not None:
+        warn(material.losses())
+    return material
+
+
 def _taken(given: object, what: str) -> Path | FileRecording:
     from labhil.api.recording import Recording
 
@@ -143,7 +178,7 @@ def telling(progress: Progress) -> Iterator[Callable[[str], None]]:
 
 
 def _nobody(text: str) -> None:
-    """Nobody is told."""
+    """Nobody hears it."""
 
 
 def reference_of(result: Fit | Diagnosis | PathLike | None, what: str) -> Path | SavedModel | None:

@@ -248,7 +248,7 @@ def read(
             carries its own.
         device: Which device, where a recording holds several.
         run: Which run, from 1, where a file holds several of one stream.
-        progress: A function that is told what is being done, or True for a line on stderr.
+        progress: A function of a line about what is being done, or True for a line on stderr.
 
     Returns:
         The recording, in SI units.

@@ -6,7 +6,7 @@ import copy
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
 
 from labhil.api.inputs import PathLike, path_of
 from labhil.api.render import WIDTH, data_frame, data_set, html_of, text_of
@@ -15,6 +15,7 @@ from labhil.errors import ModelFileError, UsageError
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
+    from labhil.analysis.results import SavedModel
     from labhil.analysis.schema import Parameters, Source
 
 
@@ -77,6 +78,26 @@ class Result(ABC):
         write_json(dict(self._data), file)
         return file
 
+    def report(self, path: PathLike) -> Path:
+        """Write one HTML page about it, complete in itself.
+
+        Args:
+            path: The file to write.
+
+        Returns:
+            The path.
+
+        Raises:
+            UsageError: It cannot be written there.
+        """
+        file = path_of(path, "path")
+        self._write_page(file)
+        return file
+
+    @abstractmethod
+    def _write_page(self, file: Path) -> None:
+        """Write the page of :meth:`report`."""
+
     def text(self, width: int = WIDTH) -> str:
         """The report as text.
 
@@ -110,6 +131,67 @@ class Result(ABC):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _restored, (type(self), self._data, self._name)
+
+
+class Stated(Protocol):
+    """What the JSON of a computed result says, with types."""
+
+    @property
+    def recordings(self) -> tuple[Source, ...]:
+        """The recordings that it comes from."""
+
+    @property
+    def complete(self) -> bool:
+        """False where it was ended early."""
+
+
+P = TypeVar("P", bound=Stated)
+S = TypeVar("S")
+
+
+class ComputedResult(Result, Generic[P, S]):
+    """A result that long work has made, with that work's samples until it is saved or pickled."""
+
+    def __init__(self, data: Mapping[str, Any], part: P, study: S | None, ended: str, name: str) -> None:
+        super().__init__(data, name)
+        self._part, self._study, self._ended = part, study, ended
+
+    @property
+    def part(self) -> P:
+        """All that the JSON says, with types."""
+        return self._part
+
+    @property
+    def recordings(self) -> tuple[Source, ...]:
+        """The recordings that it comes from: ``path``, ``sha256``, ``samples``, ``duration`` (s) of each."""
+        return self._part.recordings
+
+    @property
+    def complete(self) -> bool:
+        """False where it was ended early, with the best so far."""
+        return self._part.complete
+
+    @property
+    def ended(self) -> str:
+        """Why it was ended early; empty where it was not, or where that is not known."""
+        return self._ended
+
+    @property
+    def saved(self) -> SavedModel:
+        """The (final) model, to start from or to compare with."""
+        from labhil.analysis.results import SavedModel
+
+        return SavedModel(self._name, self._data)
+
+    @property
+    def study(self) -> S:
+        """The computation behind it, with its samples; UsageError of a result that was loaded or pickled."""
+        return self._drawn("study")
+
+    def _drawn(self, what: str) -> S:
+        if self._study is None:
+            raise unsaved(what)
+        return self._study
 
 
 def _restored(kind: Any, data: Mapping[str, Any], name: str) -> Result:

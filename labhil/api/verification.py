@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,8 +10,8 @@ from labhil.analysis.schema import ChannelVerdict, Source, ValueChange, Verifica
 from labhil.api.inputs import (
     PathLike,
     Progress,
+    Warn,
     number_of,
-    path_of,
     reference_of,
     rig_file,
     taken_of,
@@ -102,25 +102,12 @@ class Verification(Result):
 
         return [verification_text(self._part)]
 
-    def report(self, path: PathLike) -> Path:
-        """Write one HTML page about it, complete in itself.
-
-        Args:
-            path: The file to write.
-
-        Returns:
-            The path.
-
-        Raises:
-            UsageError: It cannot be written there.
-        """
+    def _write_page(self, file: Path) -> None:
         from labhil.report.html.page import write_page
         from labhil.report.html.study import foot_of
         from labhil.report.html.verification import verification_page
 
-        file = path_of(path, "path")
         write_page(verification_page(self._part, foot_of(self._part)), file)
-        return file
 
     def to_pandas(self) -> Any:
         """The parameters, accepted and refitted, as a pandas DataFrame.
@@ -142,7 +129,7 @@ def verify(
     device: str | None = None,
     run: int | None = None,
     progress: Progress = None,
-    warn: Callable[[Iterable[str]], object] | None = None,
+    warn: Warn = None,
 ) -> Verification:
     """Hold a recording against an accepted model: a gate for simulations.
 
@@ -158,8 +145,8 @@ def verify(
         alpha: Probability that a recording of the model itself is refused.
         device: Which device, where the recording holds several.
         run: Which run, from 1, where the file holds several.
-        progress: A function that is told what is being done, or True for a line on stderr.
-        warn: A function that is told what the recording lacks, as lines.
+        progress: A function of a line about what is being done, or True for a line on stderr.
+        warn: A function of the lines that say what the recording lacks.
 
     Returns:
         The verification; :attr:`Verification.contradicted` is the answer.
