@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -22,6 +23,15 @@ def test_by_evidence_the_three_effects_of_the_shipped_recording_are_named(labhil
     done = labhil("diagnose", *SEARCHED, "--method", "evidence", "--json", "said.json")
     assert done.status == 0, done.err
     assert "what remains is noise" in " ".join(done.out.split())
-    said = (tmp_path / "said.json").read_text(encoding="utf-8")
-    for term in ("coulomb_friction", "stribeck_friction", "dead_zone"):
-        assert f'"term": "{term}"' in said
+    said = json.loads((tmp_path / "said.json").read_text(encoding="utf-8"))
+    assert {item["term"] for item in said["missing"]} == {
+        "coulomb_friction",
+        "stribeck_friction",
+        "dead_zone",
+    }
+    for item in said["missing"]:
+        evidence = item["evidence"]
+        # held-out figures are of held-out data, and no other way to write the searched data's odds
+        assert evidence["heldout_loglik_gain"] > 0.0
+        assert evidence["heldout_loglik_gain"] != pytest.approx(-0.5 * evidence["delta_bic"], rel=0.01)
+        assert evidence["p_value"] < 0.1

@@ -13,6 +13,7 @@ from labhil.diagnose.collapsed import given_way
 from labhil.diagnose.evidence import Evidence, best_heldout_gain
 from labhil.diagnose.found import Found, Rival, Step
 from labhil.diagnose.judge import ALPHA, Data
+from labhil.diagnose.refit import without
 from labhil.diagnose.screen import Progress, candidates
 from labhil.diagnose.structures.curves import CurveSearch
 from labhil.diagnose.structures.enumerate import Choice, Enumeration, Predicted, Structure, closed
@@ -234,6 +235,7 @@ def search_structures(
     found = replace(_concluded(finished[-1], options, looks), complete=complete)
     if found.missing and not predicts_better(*(data.judge(f.theta) for f in (found.baseline, found.final))):
         found = found.nothing
+    found = replace(found, missing=_validated(finished[-1], found))
     return _with_curve(data, found, correlation, progress) if complete else found
 
 
@@ -322,8 +324,19 @@ def _with_only(stage: Stage, structure: Structure) -> Fitted:
 
 
 def _step(term: str, odds: float, probability: float) -> Step:
-    against = float(np.exp(-odds))
-    return Step((term,), Evidence(-2.0 * odds, against, odds), against, True, probability)
+    """A claim as the searched data make it; held-out data are asked later."""
+    return Step((term,), Evidence(-2.0 * odds, 1.0, 0.0), float(np.exp(-odds)), True, probability)
+
+
+def _validated(stage: Stage, found: Found) -> tuple[Step, ...]:
+    """The steps with what held-out data gain by each: the final model against one without it, refitted."""
+    data, final, steps = stage.data, found.final, list[Step]()
+    for step in found.missing:
+        terms = without(data.model, final.terms, step.terms[0])
+        reduced = _with_only(stage, frozenset(terms) - frozenset(found.baseline.terms))
+        gain, p_value = best_heldout_gain(data.judge(reduced.theta), data.judge(final.theta))
+        steps.append(replace(step, evidence=Evidence(step.evidence.delta_bic, p_value, gain)))
+    return tuple(steps)
 
 
 def inclusion(state: SearchState) -> dict[str, float]:
