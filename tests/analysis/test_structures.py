@@ -10,7 +10,8 @@ from scipy import integrate
 
 from labhil.analysis.material import load_material
 from labhil.diagnose.diagnosis import data_of, fit_baseline
-from labhil.diagnose.structures.marginal import KAPPA, Batch, Disturbance, grams, log_evidence
+from labhil.diagnose.structures.disturbance import Disturbance
+from labhil.diagnose.structures.marginal import KAPPA, Batch, Grams, View, grams, log_evidence
 from labhil.diagnose.structures.search import search_structures
 
 ROOT = Path(__file__).parents[2]
@@ -20,15 +21,28 @@ def one(columns: list[int], block: list[int], positive: list[bool]) -> Batch:
     return Batch(np.array([columns], int), np.array([block], int), np.array([positive], bool))
 
 
+def undisturbed(matrix: np.ndarray) -> Grams:
+    return disturbed(matrix, np.zeros((len(matrix), 0)), ())
+
+
+def disturbed(matrix: np.ndarray, modes: np.ndarray, sizes: tuple[float, ...]) -> Grams:
+    """Inner products of target and one response under a disturbance that is a sum of modes (n, K)."""
+    n, grid = len(matrix), Disturbance.grid(1, sizes)
+    views = []
+    for tau in grid.size:
+        covariance = np.eye(n) + tau**2 * modes @ modes.T
+        log_det = float(np.linalg.slogdet(covariance)[1])
+        views.append(View(matrix.T @ np.linalg.solve(covariance, matrix), -0.5 * log_det))
+    return grams(views, 0, n, n, n, np.log(grid.weight)).with_precisions([(range(1, 2), None)])
+
+
 def test_the_evidence_of_one_size_is_its_integral() -> None:
     random = np.random.default_rng(4)
     n = 60
     response = random.standard_normal(n)
     target = random.standard_normal(n) - 0.7 * response
     matrix = np.column_stack([target, response])
-    seen = grams(matrix, 0, np.empty((0, 2)), np.empty(0), n, Disturbance.grid(1, ())).with_precisions(
-        [(range(1, 2), None)]
-    )
+    seen = undisturbed(matrix)
     with_it, _, size = log_evidence(seen, one([1], [0], [False]))
     without, *_ = log_evidence(seen, one([], [], []))
     kappa = KAPPA[np.argmin(np.abs(np.log(KAPPA / np.sqrt(size[0, 0] ** 2 * (response @ response) / n))))]
@@ -55,9 +69,7 @@ def test_a_size_that_cannot_be_negative_gains_where_it_is_positive_and_loses_whe
     response = random.standard_normal(200)
     for true, better in ((0.3, True), (-0.3, False)):
         matrix = np.column_stack([random.standard_normal(200) - true * response, response])
-        seen = grams(matrix, 0, np.empty((0, 2)), np.empty(0), 200, Disturbance.grid(1, ())).with_precisions(
-            [(range(1, 2), None)]
-        )
+        seen = undisturbed(matrix)
         free, *_ = log_evidence(seen, one([1], [0], [False]))
         bound, *_ = log_evidence(seen, one([1], [0], [True]))
         assert (bound[0] > free[0]) == better
@@ -72,11 +84,9 @@ def test_a_smooth_disturbance_takes_the_evidence_from_a_term_that_imitates_it() 
     response = modes @ (shape + 0.5 * random.standard_normal(8))
     target = random.standard_normal(n) + 20.0 * modes @ shape
     matrix = np.column_stack([target, response])
-    strength = np.full(8, np.sqrt(n))
     gains = []
     for sizes in ((), (1.0,)):
-        seen = grams(matrix, 0, modes.T @ matrix, strength, n, Disturbance.grid(1, sizes))
-        seen = seen.with_precisions([(range(1, 2), None)])
+        seen = disturbed(matrix, np.sqrt(n) * modes, sizes)
         with_it, *_ = log_evidence(seen, one([1], [0], [False]))
         gains.append(with_it[0] - log_evidence(seen, one([], [], []))[0][0])
     assert gains[0] > 20.0

@@ -37,12 +37,14 @@ class CurveOptions:
         margin: nats by which a structure may be behind the named one to be refitted.
         iterations: steps of a refit.
         claim: odds (nats) that a curve needs over the named structure.
+        relevance: what it explains over what remains beside it, at least.
     """
 
     refits: int = 2
     margin: float = 5.0
     iterations: int = 8
     claim: float = 5.0
+    relevance: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,12 +106,17 @@ class CurveSearch:
             for structure in _kept(self.data, list(named))
             for variant in view.responses.variants[curve.name]
         ]
+        tried = [each for each in tried if self._matters(view, each[2])]
         logs = [each.log_evidence for each in view.evaluate([choice for _, _, choice in tried])]
         best = dict[tuple[Coordinate, Structure], float]()
         for (coordinate, structure, _), value in zip(tried, logs, strict=True):
             best[coordinate, structure] = max(best.get((coordinate, structure), -np.inf), value)
         choices = [CurveChoice(*key, value - log_named) for key, value in best.items()]
         return log_named, sorted(self._fewest_names(choices), key=lambda choice: -choice.log_odds)
+
+    def _matters(self, view: Enumeration, choice: Choice) -> bool:
+        """Whether a curve, the last of a structure, explains more than what remains beside it."""
+        return view.relevance(choice)[choice[-1].term] >= self.options.relevance
 
     def _fewest_names(self, choices: Sequence[CurveChoice]) -> list[CurveChoice]:
         """Of each coordinate's choices the one with the fewest names of those that no claim tells apart."""
@@ -142,7 +149,8 @@ class CurveSearch:
         names = tuple(view.responses.variants[t][0] for t in self._named(beside, view))
         key = curved.model.coefficients[0].term or NAME
         ways = view.evaluate([(*names, way) for way in view.responses.variants[key]])
-        odds = max(each.log_evidence for each in ways) - log_named
+        likeliest = max(ways, key=lambda each: each.log_evidence)
+        odds = likeliest.log_evidence - log_named if self._matters(view, likeliest.choice) else -np.inf
         return FittedCurve(gauged(curved), beside, odds)
 
     def _without(self, fitted: Fitted, kept: Structure) -> Fitted:

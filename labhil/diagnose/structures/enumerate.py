@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import comb, log
+from math import comb, inf, log
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from labhil.signals import FloatArray
 
 Structure = frozenset[str]
 """Keys of the terms beside the baseline."""
+
+KNOWN_NOISE = 1.1
+"""RMS in noise levels up to which nothing remains: a noise level is known to some ten per cent."""
 
 Choice = tuple[Variant, ...]
 """A structure with the way in which each of its terms acts."""
@@ -49,6 +52,12 @@ class Predicted:
     undisturbed: float
     values: Mapping[str, float]
     choice: Choice = ()
+
+
+def relevance(without: float, remains: float) -> float:
+    """What a term explains over what remains beside it, of the mean squares with and without it."""
+    beyond_noise = remains - KNOWN_NOISE**2
+    return (without - remains) / beyond_noise if beyond_noise > 0.0 else inf
 
 
 def closed(model: Model, terms: Iterable[str], baseline: frozenset[str]) -> Structure:
@@ -88,6 +97,22 @@ class Enumeration:
             for i, *own in zip(places, *log_evidence(self.responses.grams, batch), strict=True):
                 found[i] = self._predicted(choices[i], *own)
         return [each for each in found if each is not None]
+
+    def relevance(self, choice: Choice) -> dict[str, float]:
+        """Return what each term explains over what the structure leaves unexplained, as responses predict it.
+
+        Both are mean squares, beyond the noise. Terms that others of the structure build on are left out.
+        """
+        places = {v.term: list(v.places) for v in choice}
+        rest = self.responses.grams.rest
+        remains = rest([p for own in places.values() for p in own])
+        terms = [self.model.terms[term] for term in places if term in self.model.terms]
+        carried = {t for term in terms for t in term.with_terms}
+        without = {
+            term: rest([p for t, own in places.items() if t != term for p in own])
+            for term in places.keys() - carried
+        }
+        return {term: relevance(left, remains) for term, left in without.items()}
 
     def best(self) -> dict[Structure, Predicted]:
         """Return the best way of every structure that the beam reaches, the empty one included."""

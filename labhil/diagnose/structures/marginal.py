@@ -1,17 +1,16 @@
 """Evidence of a structure in closed form, on linear responses.
 
-Residuals r (simulated − measured, in units of noise, whitened, the windows' states projected out) are
+Residuals r (simulated − measured, in units of noise) are
 
-    r = y + B·b + X·x,        e = r + τ·D·a,
+    r = y + S·s + B·b + X·x,        r ~ N(0, σ²C),
 
-with the baseline's responses B (flat prior on b), the responses X of the structure's terms, and a
-disturbance that is smooth in time within each window: D holds cosines whose amplitude falls as 1/k², as the
-response of a second-order plant to a random force does; a is standard normal, τ is summed out over a grid
-that includes zero. A term's sizes have a unit-information prior (Kass and Wasserman 1995): the response of
-its block has an RMS of κ noise levels, κ on a grid. The noise's scale is unknown. With G = XᵀX and b = Xᵀy,
-both beside B and under the disturbance,
+with the responses S of the windows' states and B of the baseline (flat priors on s and b), and those X of the
+structure's terms. The covariance C is that of noise and a lasting disturbance (disturbance.py) of size τ,
+which is summed out over a grid that includes zero. A term's sizes have a unit-information prior (Kass and
+Wasserman 1995): the response of its block has an RMS of κ noise levels, κ on a grid. The noise's scale is
+unknown. With G = XᵀX and b = Xᵀy, both beside S and B and under C,
 
-    log p(y | S, τ) = −½ log|I + τ²DDᵀ| − ½ log|BᵀB| − ½ log|G + L| + ½ log|L|
+    log p(y | S, τ) = −½ log|C| − ½ log|SᵀC⁻¹S| − ½ log|BᵀB| − ½ log|G + L| + ½ log|L|
                       − ½ν·log(yᵀy − bᵀ(G + L)⁻¹b),
 
 plus log 2Φ(m/s) for each size that cannot be negative (O'Hagan and Forster 2004, ch. 11).
@@ -32,19 +31,15 @@ LEAST = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class Disturbance:
-    """The grid of sizes τ (T,) of a smooth disturbance, in units of noise, with its prior ``weight`` (T,)."""
+class View:
+    """Inner products (M, M) of columns under one size of the disturbance.
 
-    size: FloatArray
-    weight: FloatArray
+    The states of the windows are taken out; ``log_density`` is what does not depend on the structure:
+    −½ log|C| − ½ log|SᵀC⁻¹S| with the covariance C of noise and disturbance and the states' responses S.
+    """
 
-    @classmethod
-    def grid(
-        cls, candidates: int, sizes: tuple[float, ...] = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 1e3, 1e4)
-    ) -> Disturbance:
-        """A disturbance is as likely as one more of so many ``candidates``, and of any size alike."""
-        some = 0.5 / (candidates + 1)
-        return cls(np.r_[0.0, sizes], np.r_[1.0 - some, np.full(len(sizes), some / max(len(sizes), 1))])
+    products: FloatArray
+    log_density: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,8 +49,8 @@ class Grams:
     ``seen`` (T, m, m) has the target first and all responses after it; ``raw`` (m, m) is the same without
     disturbance and before the baseline's responses are taken out: it sizes the prior, whose ``precision``
     (m, m) is that of responses of one noise level. ``log_prior`` (T,) is that of τ; ``log_weight`` (T,) has
-    in it also what does not depend on the structure. ``samples`` is how many rows there are, ``dof`` how many
-    independent ones are left.
+    in it also what does not depend on the structure. ``samples`` is how many rows there are, ``left`` how
+    many beside states and baseline, and ``dof`` how many of these are independent.
     """
 
     seen: FloatArray
@@ -64,7 +59,16 @@ class Grams:
     log_weight: FloatArray
     log_prior: FloatArray
     samples: int
+    left: float
     dof: float
+
+    def rest(self, columns: Sequence[int]) -> float:
+        """Mean square that responses at these places leave of the target, by least squares."""
+        every, total = self.seen[0], float(self.seen[0, 0, 0])
+        own = np.asarray(columns, dtype=np.int64)
+        gram = _lifted(every[np.ix_(own, own)][None])[0]
+        explained = float(every[own, 0] @ np.linalg.solve(gram, every[own, 0])) if len(own) else 0.0
+        return max(total - explained, 0.0) / max(self.left - len(own), 1.0)
 
     def with_precisions(self, blocks: Sequence[tuple[range, FloatArray | None]]) -> Grams:
         """The same with the prior of each block of responses.
@@ -83,48 +87,37 @@ class Grams:
 
 
 def grams(
-    matrix: FloatArray,
-    baseline: int,
-    modes: FloatArray,
-    strength: FloatArray,
-    dof: float,
-    disturbance: Disturbance,
+    views: Sequence[View], baseline: int, samples: int, left: float, dof: float, log_prior: FloatArray
 ) -> Grams:
     """Inner products for all structures.
 
     Args:
-        matrix: (N, 1 + P + k) target, the baseline's P responses, and all terms' responses, whitened, the
-            windows' states projected out.
+        views: target, the baseline's P responses, and all terms' responses, as each size of the disturbance
+            has them; the first one is none.
         baseline: P.
-        modes: (K, 1 + P + k) inner products of the disturbance's orthonormal modes with the columns.
-        strength: (K,) singular values of the modes.
-        dof: independent rows that are left beside the states of windows.
-        disturbance: the grid of τ.
+        samples: rows that the columns have.
+        left: rows that are left beside the states of windows.
+        dof: independent ones of these.
+        log_prior: (T,) of the sizes of the disturbance.
 
     Returns:
-        The products of target and terms' responses with one another, under each τ.
+        The products of target and terms' responses with one another, under each size.
     """
-    plain = matrix.T @ matrix
-    kept = np.r_[0, np.arange(1 + baseline, matrix.shape[1])]
+    plain = views[0].products
+    kept = np.r_[0, np.arange(1 + baseline, len(plain))]
     own = np.arange(1, 1 + baseline)
     seen, logs = [], []
-    for tau, weight in zip(disturbance.size, disturbance.weight, strict=True):
-        share = (tau * strength) ** 2 / (1.0 + (tau * strength) ** 2)
-        gram = plain - modes.T @ (modes * share[:, None])
-        inner = gram[np.ix_(own, own)]
+    for view, weight in zip(views, log_prior, strict=True):
+        inner = view.products[np.ix_(own, own)]
         scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
         inner = inner / np.outer(scale, scale) + LEAST * np.eye(baseline)
-        across = gram[np.ix_(own, kept)] / scale[:, None]
-        seen.append(gram[np.ix_(kept, kept)] - across.T @ np.linalg.solve(inner, across))
-        logs.append(
-            np.log(weight)
-            - 0.5 * float(np.sum(np.log1p((tau * strength) ** 2)))
-            - 0.5 * float(np.linalg.slogdet(inner)[1])
-            - float(np.sum(np.log(scale)))
-        )  # fmt: skip
+        across = view.products[np.ix_(own, kept)] / scale[:, None]
+        seen.append(view.products[np.ix_(kept, kept)] - across.T @ np.linalg.solve(inner, across))
+        log_det = float(np.linalg.slogdet(inner)[1]) + 2.0 * float(np.sum(np.log(scale)))
+        logs.append(weight + view.log_density - 0.5 * log_det)
     raw = plain[np.ix_(kept, kept)]
-    logs_of = np.array(logs), np.log(disturbance.weight)
-    return Grams(np.array(seen), raw, np.zeros_like(raw), *logs_of, len(matrix), dof - baseline)
+    rows = (samples, left - baseline, dof - baseline)
+    return Grams(np.array(seen), raw, np.zeros_like(raw), np.array(logs), log_prior, *rows)
 
 
 KAPPA = np.array([0.3, 1.0, 3.0, 10.0, 30.0, 100.0])
@@ -188,7 +181,7 @@ def _under(grams: Grams, t: int, raw: FloatArray, batch: Batch) -> tuple[FloatAr
     sizes = -np.einsum("sij,sj->si", inverse, pull)
     rest = np.maximum(total + np.einsum("si,si->s", sizes, pull), 1e-12 * total)
     occam = 0.5 * (np.linalg.slogdet(prior)[1] - np.linalg.slogdet(system)[1])
-    error = np.sqrt(np.maximum(np.einsum("sii->si", inverse) * rest[:, None] / grams.dof, 1e-300))
+    error = np.sqrt(np.clip(np.einsum("sii->si", inverse), 1e-300, 1e150) * rest[:, None] / grams.dof)
     signs = np.where(batch.positive, np.log(2.0) + log_ndtr(sizes / error), 0.0).sum(axis=1)
     blocks = batch.block.max(axis=1) + 1
     logs = grams.log_weight[t] + occam + signs - blocks * np.log(len(KAPPA)) - 0.5 * grams.dof * np.log(rest)

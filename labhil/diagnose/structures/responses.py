@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
 from labhil.diagnose.judge import Data
-from labhil.diagnose.structures.marginal import Disturbance, Grams, grams
+from labhil.diagnose.structures.disturbance import Disturbance, inner_products
+from labhil.diagnose.structures.marginal import Grams
 from labhil.identify.extended import ExtendedModel
 from labhil.identify.fitted import Fitted
 from labhil.identify.problem import Linearised, Problem
@@ -22,13 +22,6 @@ from labhil.identify.waves import starts_beside
 from labhil.physics.model import index_of, terms_named
 from labhil.physics.terms import Parameter
 from labhil.signals import FloatArray
-
-FASTEST, CORNER = 4.0, 0.67
-"""Cycles per scored horizon up to which a disturbance is modelled, and those from which its amplitude falls
-with the square of the frequency, as the response of a second-order plant to a random force does."""
-
-FEWEST_MODES = 3
-"""Cosines in a window, however short it is."""
 
 WANTED, LARGER = 1.5, 4.5
 """Noise levels of the response by which a size is stepped, and of a second step where that is not
@@ -174,7 +167,7 @@ def responses(
         first += len(keys)
         priors.append(way.precision)
     disturbance = Disturbance.grid(len(data.model.terms) - len(baseline))
-    plain = _inner_products(problem, lin, matrix, len(shared), correlation, disturbance)
+    plain = inner_products(problem, lin, matrix, len(shared), correlation, disturbance)
     seen = plain.with_precisions([(v.places, prior) for v, prior in zip(_flat(placed), priors, strict=True)])
     kept = {term: _visible(seen, of, term in fitted.terms) for term, of in placed.items()}
     return Responses(fitted, seen, {term: of for term, of in kept.items() if of})
@@ -323,67 +316,3 @@ def _proportional(tried: Mapping[float, tuple[float, FloatArray]]) -> bool:
     """Whether responses of about the noise's size grow as their steps; True where only one is known."""
     per_unit = [rms / size for size, (rms, _) in tried.items() if rms < 4.0 * LARGER]
     return len(per_unit) < 2 or max(per_unit) / min(per_unit) < 1.0 + PROPORTIONAL
-
-
-def _inner_products(
-    problem: Problem,
-    lin: Linearised,
-    matrix: FloatArray,
-    baseline: int,
-    correlation: FloatArray,
-    disturbance: Disturbance,
-) -> Grams:
-    """Of whitened columns, the windows' states taken out, under every size of the disturbance."""
-    white = replace(lin, by_states=whitened(problem, lin.by_states, correlation))
-    seen = problem.project(white, whitened(problem, matrix, correlation))
-    modes, strength = _modes(problem, white, correlation)
-    products = _per_mode(problem, modes, seen)
-    rho = float(np.mean(correlation))
-    telling = min(1.0, problem.telling * (1.0 + rho) / (1.0 - rho))
-    dof = len(matrix) * telling - lin.by_states.shape[1] * len(problem.edges)
-    return grams(seen, baseline, products, strength, max(dof, 10.0), disturbance)
-
-
-def whitened(problem: Problem, columns: FloatArray, correlation: FloatArray) -> FloatArray:
-    """Columns (N·c, k) as an autoregression of first order leaves them, window by window."""
-    rho = np.asarray(correlation)[:, None]
-    if not rho.any():
-        return columns
-    rows = columns.reshape(-1, len(problem.sigma), columns.shape[1])
-    white = rows.copy()
-    inside = np.flatnonzero(np.diff(problem.windows.owner) == 0) + 1
-    white[inside] = (rows[inside] - rho * rows[inside - 1]) / np.sqrt(1.0 - rho**2)
-    return white.reshape(columns.shape)
-
-
-def _modes(problem: Problem, white: Linearised, correlation: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Orthonormal modes (N·c, K) of a smooth disturbance in each window, and their strength (W·K,)."""
-    if not problem.model.state_names:
-        return np.empty((len(problem.owner), 0)), np.empty(0)
-    channels = len(problem.sigma)
-    edges = np.append(problem.edges, len(problem.owner)) // channels
-    window = float(np.max(np.diff(edges))) * problem.record.period / problem.model.horizon
-    k = np.arange(max(int(np.ceil(2.0 * FASTEST * window)), FEWEST_MODES))
-    cosines = np.empty((len(problem.owner), len(k) * channels))
-    amplitude = 1.0 / np.sqrt(1.0 + (k / (2.0 * CORNER * window)) ** 4)
-    for first, last in pairwise(edges):
-        t = (np.arange(last - first) + 0.5) / (last - first)
-        shapes = np.cos(np.pi * k * t[:, None]) * amplitude
-        cosines[first * channels : last * channels] = np.kron(shapes, np.eye(channels))
-    seen = problem.project(white, whitened(problem, cosines, correlation))
-    basis, strength = np.empty_like(seen), []
-    for first, last in zip(edges[:-1] * channels, edges[1:] * channels, strict=True):
-        left, singular, _ = np.linalg.svd(seen[first:last], full_matrices=False)
-        width = min(left.shape[1], seen.shape[1])
-        basis[first:last, :width] = left[:, :width]
-        basis[first:last, width:] = 0.0
-        strength.append(np.r_[singular[:width], np.zeros(seen.shape[1] - width)])
-    return basis, np.concatenate(strength)
-
-
-def _per_mode(problem: Problem, modes: FloatArray, columns: FloatArray) -> FloatArray:
-    """Inner products (W·K, m) of each window's modes with columns (N·c, m)."""
-    if not modes.shape[1]:
-        return np.empty((0, columns.shape[1]))
-    ends = np.append(problem.edges[1:], len(modes))
-    return np.vstack([modes[a:b].T @ columns[a:b] for a, b in zip(problem.edges, ends, strict=True)])

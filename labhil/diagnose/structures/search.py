@@ -5,19 +5,28 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from itertools import islice
 
 import numpy as np
 
 from labhil.cores import cores
 from labhil.diagnose.collapsed import given_way
 from labhil.diagnose.evidence import Evidence, best_heldout_gain
-from labhil.diagnose.found import Found, Rival, Step
+from labhil.diagnose.found import Found, Step
 from labhil.diagnose.judge import ALPHA, Data
 from labhil.diagnose.refit import without
 from labhil.diagnose.screen import Progress, candidates
 from labhil.diagnose.structures.curves import CurveSearch
-from labhil.diagnose.structures.enumerate import Choice, Enumeration, Predicted, Structure, closed
+from labhil.diagnose.structures.enumerate import Enumeration, Predicted, Structure, closed
 from labhil.diagnose.structures.responses import responses
+from labhil.diagnose.structures.state import (
+    Refitted,
+    SearchState,
+    inclusion,
+    least_relevance,
+    log_odds,
+    rivals_of,
+)  # fmt: skip
 from labhil.ending import EndedEarly, accept
 from labhil.identify.fitted import Fitted, fit_terms, with_only
 from labhil.identify.noise import lasting_noise
@@ -27,7 +36,7 @@ from labhil.identify.waves import starts_beside
 from labhil.identify.window_states import FIRST_GROWN, grow_states
 from labhil.identify.windows import fit_windows
 from labhil.physics.extra_force import Yielding
-from labhil.physics.model import Model, index_of
+from labhil.physics.model import index_of
 from labhil.signals import FloatArray
 
 CURVE_WINDOW = 1.5
@@ -44,6 +53,8 @@ class Options:
         refits: structures that are refitted in each round, at most.
         margin: nats by which an enumerated structure may be behind the best to be refitted.
         claim: odds (nats) that the best structure needs over the one without a term.
+        relevance: what a term explains over what no term does, at least: mean squares beyond the noise. An
+            effect that is smaller than what is missing beside it cannot be told from that.
         few: terms beside the best structure's up to which one is refitted for what it promises where nothing
             disturbs: from afar a linear response understates a term, but many of them stand in for anything.
     """
@@ -53,37 +64,13 @@ class Options:
     refits: int = 3
     margin: float = 5.0
     claim: float = 5.0
+    relevance: float = 1.0
     few: int = 2
 
 
-@dataclass(frozen=True, slots=True)
-class Refitted:
-    """A structure's own fit and its log evidence where that stands."""
-
-    fitted: Fitted
-    log_evidence: float
-    undisturbed: float
-    choice: Choice
-    view: Enumeration
-
-
-@dataclass(slots=True)
-class SearchState:
-    """What a stage has visited: refitted structures, and all as the newest linearisation predicts them."""
-
-    refitted: dict[Structure, Refitted] = field(default_factory=dict)
-    predicted: dict[Structure, Predicted] = field(default_factory=dict)
-
-    @property
-    def best(self) -> Structure:
-        """The refitted structure with the largest evidence."""
-        return max(self.refitted, key=lambda s: self.refitted[s].log_evidence)
-
-    def log_evidence(self) -> dict[Structure, float]:
-        """Log evidence of every structure that was visited."""
-        known = {s: p.log_evidence for s, p in self.predicted.items()}
-        return known | {s: r.log_evidence for s, r in self.refitted.items()}
-
+OUTWEIGHED = np.sqrt(2.0)
+"""Noise levels that a stage's best structure leaves from which what is missing outweighs the noise: longer
+windows would add up more of that, and show no more of what acts slowly."""
 
 LEADING = 3
 """Structures of a stage with which the next one begins, at most, beside the baseline."""
@@ -95,6 +82,11 @@ class Stage:
 
     data: Data
     state: SearchState
+
+    @property
+    def remains(self) -> float:
+        """Noise levels that the best structure leaves."""
+        return self.state.refitted[self.state.best].fitted.noise
 
     @property
     def leading(self) -> list[Fitted]:
@@ -127,7 +119,7 @@ class StructureSearch:
 
     def run(self, begin: Sequence[Fitted]) -> SearchState:
         """Search from fits of some structures until nothing likelier is left to refit."""
-        state = SearchState()
+        state = SearchState(least=self.options.relevance)
         for fitted in begin:
             self._enter(state, fitted)
         looked = set[Structure]()
@@ -137,11 +129,36 @@ class StructureSearch:
                 looked.add(best)
                 near = state.refitted[best].fitted
                 self.progress(f"evidence of all structures beside {', '.join(near.terms)}")
-                state.predicted = self._at(near).best()
+                state.view = self._at(near)
+                state.predicted = state.view.best()
                 self._refit_narrowed(state)
             if not self._refit_promising(state) and state.best in looked:
-                break
+                if not state.best:
+                    self._refit_singles(state)
+                if state.best in looked:
+                    break
+        self._drop_irrelevant(state)
         return state
+
+    def _refit_singles(self, state: SearchState) -> None:
+        """Refit every single term beside a baseline far from the data, where responses tell little."""
+        near = state.refitted[frozenset()].fitted
+        if near.noise < OUTWEIGHED:
+            return
+        for terms in candidates(self.data.model, self.baseline):
+            structure = frozenset(terms)
+            if structure not in state.refitted:
+                self.progress(f"refitting {', '.join(terms)}")
+                self._enter(state, self._refit(near, structure, state.values_of(structure)))
+
+    def _drop_irrelevant(self, state: SearchState) -> None:
+        """Refit the likeliest structure without its terms that explain too little, the least one first."""
+        structure = max(state.refitted, key=lambda s: state.refitted[s].log_evidence)
+        while least_relevance(shares := state.relevance(structure)) < state.least:
+            near = state.refitted[structure]
+            structure = structure - {min(shares, key=lambda term: shares[term])}
+            if structure not in state.refitted:
+                self._enter(state, self._refit(near.fitted, structure, {}))
 
     def _refit_narrowed(self, state: SearchState) -> None:
         """Refit the best structure with what a term becomes without its width, begun at that term's size."""
@@ -162,8 +179,8 @@ class StructureSearch:
 
     def _refit_promising(self, state: SearchState) -> bool:
         """Refit the most promising structures that were not refitted yet; whether there were any."""
-        likely = max(r.log_evidence for r in state.refitted.values())
-        plain = max(r.undisturbed for r in state.refitted.values())
+        likely = max(r.log_evidence for r in state.relevant.values())
+        plain = max(r.undisturbed for r in state.relevant.values())
         most = len(state.best) + self.options.few
 
         def promise(p: Predicted) -> float:
@@ -172,12 +189,20 @@ class StructureSearch:
 
         new = [p for s, p in state.predicted.items() if s not in state.refitted]
         promising = sorted((p for p in new if promise(p) > -self.options.margin), key=lambda p: -promise(p))
-        waiting = promising[: self.options.refits]
+        waiting = list(islice((p for p in promising if self._may_matter(state, p)), self.options.refits))
         for predicted in waiting:
             self.progress(f"refitting {', '.join(sorted(predicted.structure)) or 'the baseline'}")
             near = state.refitted[state.best].fitted
             self._enter(state, self._refit(near, predicted.structure, predicted.values))
         return bool(waiting)
+
+    @staticmethod
+    def _may_matter(state: SearchState, p: Predicted) -> bool:
+        """Whether each term is predicted to explain enough; of one more term only its refit tells."""
+        one_more = len(p.structure - state.best) <= 1
+        return (
+            one_more or state.view is None or least_relevance(state.view.relevance(p.choice)) >= state.least
+        )
 
     def _refit(self, near: Fitted, structure: Structure, values: Mapping[str, float]) -> Fitted:
         """Fit a structure from where a fit stands, with these values by key."""
@@ -226,6 +251,8 @@ def search_structures(
                     stage, baseline.terms, correlation, executor, progress, options, nominal
                 )
                 finished.append(Stage(stage, search.run(begin)))
+                if finished[-1].remains > OUTWEIGHED:
+                    break
     except EndedEarly:
         accept()
         complete = False
@@ -236,7 +263,7 @@ def search_structures(
     if found.missing and not predicts_better(*(data.judge(f.theta) for f in (found.baseline, found.final))):
         found = found.nothing
     found = replace(found, missing=_validated(finished[-1], found))
-    return _with_curve(data, found, correlation, progress) if complete else found
+    return _with_curve(data, found, finished[-1].data.window, correlation, progress) if complete else found
 
 
 def _stages(data: Data, options: Options) -> list[Data]:
@@ -247,13 +274,15 @@ def _stages(data: Data, options: Options) -> list[Data]:
     return [replace(data, window=length) for length in dict.fromkeys(lengths)]
 
 
-def _with_curve(data: Data, found: Found, correlation: FloatArray, progress: Progress) -> Found:
+def _with_curve(
+    data: Data, found: Found, longest: float, correlation: FloatArray, progress: Progress
+) -> Found:
     """What is named beside the likeliest curve, and that; all that is named where no curve is likelier."""
     model = data.model
     if not isinstance(model, Yielding) or not model.state_names:
         return found
     progress("a force over each coordinate in turn, instead of what is named and beside it")
-    shorter = replace(data, window=min(CURVE_WINDOW * model.horizon, data.search.longest))
+    shorter = replace(data, window=min(CURVE_WINDOW * model.horizon, longest))
     curve = CurveSearch(shorter, found.baseline.terms, correlation).run(on_windows(shorter, found.final))
     if curve is None:
         return found
@@ -305,7 +334,7 @@ def _concluded(stage: Stage, options: Options, looks: int) -> Found:
     known = state.log_evidence()
     p_value = float(np.exp(min(known[frozenset()] - known[best], 0.0)))
     claimed = closed(model, (step.terms[0] for step in steps), frozenset(base.terms))
-    found = Found(base, _with_only(stage, claimed), tuple(steps), _rivals(state, best), p_value, looks)
+    found = Found(base, _with_only(stage, claimed), tuple(steps), rivals_of(state, best), p_value, looks)
     return found.ending(found.final, found.missing)
 
 
@@ -337,42 +366,3 @@ def _validated(stage: Stage, found: Found) -> tuple[Step, ...]:
         gain, p_value = best_heldout_gain(data.judge(reduced.theta), data.judge(final.theta))
         steps.append(replace(step, evidence=Evidence(step.evidence.delta_bic, p_value, gain)))
     return tuple(steps)
-
-
-def inclusion(state: SearchState) -> dict[str, float]:
-    """Return the posterior probability of every term: of all visited structures that have it."""
-    known = state.log_evidence()
-    structures, logs = list(known), np.array(list(known.values()))
-    weights = np.exp(logs - logs.max())
-    weights /= weights.sum()
-    found: dict[str, float] = {}
-    for structure, weight in zip(structures, weights.tolist(), strict=True):
-        for term in structure:
-            found[term] = found.get(term, 0.0) + weight
-    return found
-
-
-def log_odds(model: Model, state: SearchState, term: str) -> float:
-    """Return the log odds that the best structure needs a term, whatever else builds on it.
-
-    Against the structure without it as that was refitted, or as the best one's own linearisation predicts it.
-    """
-    best = state.best
-    own = state.refitted[best]
-    alone = [v for v in own.choice if v.term != term]
-    without = own.view.evaluate([tuple(alone)])[0].log_evidence
-    carriers = {t for t in best if term in model.terms[t].with_terms}
-    if not carriers and best - {term} in state.refitted:
-        without = state.refitted[best - {term}].log_evidence
-    return own.log_evidence - without
-
-
-def _rivals(state: SearchState, best: Structure) -> tuple[Rival, ...]:
-    """Structures that have another term in the place of one, within 5 nats."""
-    known, found, shares = state.log_evidence(), [], inclusion(state)
-    for structure, value in known.items():
-        gone, new = best - structure, structure - best
-        if len(gone) == 1 and len(new) == 1 and known[best] - value < 5.0:
-            rival = next(iter(new))
-            found.append(Rival(rival, next(iter(gone)), 2.0 * (known[best] - value), shares[rival]))
-    return tuple(sorted(found, key=lambda r: r.delta_bic))

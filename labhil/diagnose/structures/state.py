@@ -1,0 +1,111 @@
+"""What a search has visited, and what that says of each term: odds, probability, relevance, rivals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from labhil.diagnose.found import Rival
+from labhil.diagnose.structures.enumerate import Choice, Enumeration, Predicted, Structure, relevance
+from labhil.identify.fitted import Fitted
+from labhil.physics.model import Model
+
+
+@dataclass(frozen=True, slots=True)
+class Refitted:
+    """A structure's own fit and its log evidence where that stands."""
+
+    fitted: Fitted
+    log_evidence: float
+    undisturbed: float
+    choice: Choice
+    view: Enumeration
+
+
+@dataclass(slots=True)
+class SearchState:
+    """What a stage has visited: refitted structures, and all as the newest linearisation predicts them."""
+
+    refitted: dict[Structure, Refitted] = field(default_factory=dict)
+    predicted: dict[Structure, Predicted] = field(default_factory=dict)
+    view: Enumeration | None = None
+    least: float = 1.0
+
+    @property
+    def relevant(self) -> dict[Structure, Refitted]:
+        """Refitted structures each of whose terms explains enough."""
+        return {s: r for s, r in self.refitted.items() if least_relevance(self.relevance(s)) >= self.least}
+
+    @property
+    def best(self) -> Structure:
+        """The one of them with the largest evidence."""
+        known = self.relevant
+        return max(known, key=lambda s: known[s].log_evidence)
+
+    def relevance(self, structure: Structure) -> dict[str, float]:
+        """What each term of a refitted structure explains over what that leaves: by refits, where known."""
+        own = self.refitted[structure]
+        found = own.view.relevance(own.choice)
+        for term in found:
+            reduced = self.refitted.get(structure - {term})
+            if reduced is not None:
+                found[term] = relevance(reduced.fitted.noise**2, own.fitted.noise**2)
+        return found
+
+    def values_of(self, structure: Structure) -> Mapping[str, float]:
+        """Values by key that the newest linearisation predicts of a structure, if any."""
+        predicted = self.predicted.get(structure)
+        return {} if predicted is None else predicted.values
+
+    def log_evidence(self) -> dict[Structure, float]:
+        """Log evidence of what was visited, but for likelier structures whose terms explain too little."""
+        known = {s: p.log_evidence for s, p in self.predicted.items()}
+        known |= {s: r.log_evidence for s, r in self.refitted.items()}
+        most = self.refitted[self.best].log_evidence
+        return {structure: value for structure, value in known.items() if value <= most}
+
+
+def least_relevance(relevance: Mapping[str, float]) -> float:
+    """The smallest relevance of a structure's terms; without terms there is none."""
+    return min(relevance.values(), default=np.inf)
+
+
+def inclusion(state: SearchState) -> dict[str, float]:
+    """Return the posterior probability of every term: of all visited structures that have it."""
+    known = state.log_evidence()
+    structures, logs = list(known), np.array(list(known.values()))
+    weights = np.exp(logs - logs.max())
+    weights /= weights.sum()
+    found: dict[str, float] = {}
+    for structure, weight in zip(structures, weights.tolist(), strict=True):
+        for term in structure:
+            found[term] = found.get(term, 0.0) + weight
+    return found
+
+
+def log_odds(model: Model, state: SearchState, term: str) -> float:
+    """Return the log odds that the best structure needs a term, whatever else builds on it.
+
+    Against the structure without it as that was refitted, or as the best one's own linearisation predicts it.
+    """
+    best = state.best
+    own = state.refitted[best]
+    alone = [v for v in own.choice if v.term != term]
+    without = own.view.evaluate([tuple(alone)])[0].log_evidence
+    carriers = {t for t in best if term in model.terms[t].with_terms}
+    if not carriers and best - {term} in state.refitted:
+        without = state.refitted[best - {term}].log_evidence
+    return own.log_evidence - without
+
+
+def rivals_of(state: SearchState, best: Structure) -> tuple[Rival, ...]:
+    """Return Structures that have another term in the place of one, within 5 nats."""
+    known, found, shares = state.log_evidence(), [], inclusion(state)
+    for structure, value in known.items():
+        gone, new = best - structure, structure - best
+        if len(gone) == 1 and len(new) == 1 and known[best] - value < 5.0:
+            rival = next(iter(new))
+            found.append(Rival(rival, next(iter(gone)), 2.0 * (known[best] - value), shares[rival]))
+    return tuple(sorted(found, key=lambda r: r.delta_bic))
