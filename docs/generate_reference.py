@@ -297,7 +297,8 @@ def exit_codes() -> str:
         ("0", "Done, whatever was found."),
         (
             "1",
-            "The run failed (a limit tripped, somebody stopped it, the disk is full); or a gate says no: "
+            "The run failed (a limit tripped, somebody stopped it, the disk is full, also "
+            "for results and exports); or a gate says no: "
             "`diagnose --exit-code` found a mismatch, `verify` that the recording contradicts the model.",
         ),
         (
