@@ -17,6 +17,7 @@ from labhil.commands.benchmarks import add_benchmarks
 from labhil.commands.files import add_files
 from labhil.commands.firmware import add_firmware
 from labhil.commands.machine import add_machine
+from labhil.commands.pages import link_pages
 from labhil.commands.safety import add_safety
 from labhil.commands.serve import add_serve
 from labhil.commands.studies import add_studies
@@ -85,3 +86,4 @@ for add in (
     add_machine,
 ):
     add(app)
+link_pages(app)

@@ -1,7 +1,7 @@
 """For those who write drivers: what a device is to labhil, what it says, and the suite that every driver
 passes.
 
-How to write and register one is in ``docs/plugins.md``.
+How to write and register one is in ``docs/how-to/write-a-driver.md``.
 
 Example:
     >>> from labhil.devices import Batch, Driver, DriverSpec, Signal, Stream

@@ -77,6 +77,12 @@ def require(module: str, purpose: str) -> None:
         raise _missing(PACKAGES[module.partition(".")[0]], purpose)
 
 
+def require_analysis(purpose: str) -> None:
+    """MissingExtraError where a package of the analysis wing is not installed; nothing is imported."""
+    for module in ("numba", "scipy"):
+        require(module, purpose)
+
+
 def is_installed(module: str) -> bool:
     """Whether the package of a module is there; nothing is imported."""
     return find_spec(module.partition(".")[0]) is not None

@@ -20,6 +20,7 @@ ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 EXTRAS: dict[str, list[str]] = PROJECT["optional-dependencies"]
 RECORDING = str(ROOT / "recordings" / "ball_beam_identify.mcap")
+FIT = str(ROOT / "examples" / "fit.json")
 
 
 def name_of(requirement: str) -> str:
@@ -38,7 +39,7 @@ def test_every_optional_package_is_in_the_extra_that_is_named(module: str) -> No
 def test_all_extras_are_together_in_one() -> None:
     (everything,) = EXTRAS["all"]
     named = everything.removeprefix("labhil[").removesuffix("]").split(",")
-    assert sorted(named) == sorted(EXTRAS.keys() - {"all", "test"})
+    assert sorted(named) == sorted(EXTRAS.keys() - {"all", "docs", "test"})
 
 
 def test_the_demo_needs_no_extra_and_a_laptop_gets_no_robot_client() -> None:
@@ -114,6 +115,32 @@ def test_a_command_names_the_extra_that_it_lacks(
     assert f"needs the package {PACKAGES[missing].name!r}, which is not installed" in done.stderr
     assert f"pip install 'labhil[{extra}]'" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("missing", "call", "extra"),
+    [
+        ("numba", f"lh.fit({RECORDING!r})", "analysis"),
+        ("scipy", f"lh.diagnose({RECORDING!r})", "analysis"),
+        ("numba", "lh.model('ball_beam').terms", "analysis"),
+        ("numba", f"lh.load({FIT!r}).simulate({RECORDING!r})", "analysis"),
+        ("scipy", f"lh.verify({RECORDING!r}, {FIT!r})", "analysis"),
+        ("matplotlib", f"lh.read({RECORDING!r}).plot()", "plots"),
+        ("matplotlib", f"lh.load({FIT!r}).plot_intervals()", "plots"),
+    ],
+)
+def test_python_names_the_extra_that_it_lacks(tmp_path: Path, missing: str, call: str, extra: str) -> None:
+    """An error of the tree, where the package cannot be imported."""
+    code = (
+        f"import sys\nsys.modules[{missing!r}] = None\nimport labhil as lh\n"
+        f"try:\n    {call}\nexcept lh.errors.MissingExtraError as error:\n    print(error)\n"
+    )
+    command = [sys.executable, "-P", "-c", code]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert (
+        f"needs the package {missing!r}, which is not installed: pip install 'labhil[{extra}]'" in done.stdout
+    )
 
 
 def test_another_module_that_is_missing_is_a_fault_and_shown_as_one(monkeypatch: pytest.MonkeyPatch) -> None:

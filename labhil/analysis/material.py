@@ -181,7 +181,7 @@ def _unasked(recording: Recording, rig: RigFile) -> list[str]:
     used = [data.device for data in recording.streams if wanted & set(data.stream.names())]
     return [
         f"{recording.path}: holds the devices {', '.join(devices)}; used: {', '.join(dict.fromkeys(used))}. "
-        "--device NAME chooses another"
+        "The option device chooses another"
     ]
 
 

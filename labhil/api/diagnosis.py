@@ -35,6 +35,7 @@ from labhil.api.render import axes_of, channel_of
 from labhil.api.result import ComputedResult, parameter_frame, parameter_set
 from labhil.api.simulation import Simulation, simulate
 from labhil.errors import UnknownNameError
+from labhil.extras import require, require_analysis
 from labhil.physics.terms import keyed
 
 if TYPE_CHECKING:
@@ -191,6 +192,7 @@ class Diagnosis(ComputedResult["DiagnosisPart", "DiagnosisResult"]):
         Raises:
             UsageError: The result was loaded, and holds no samples.
         """
+        require("matplotlib", "a plot")
         from labhil.report.plots import draw_windows, located
 
         found, axes = self._drawn("plot").diagnosis, axes_of(ax)
@@ -199,6 +201,7 @@ class Diagnosis(ComputedResult["DiagnosisPart", "DiagnosisResult"]):
 
     def plot_errors(self, ax: Axes | None = None, *, channel: int | str | None = None) -> Axes:
         """Draw the errors before and after, with the noise floor; as :meth:`plot`."""
+        require("matplotlib", "a plot")
         from labhil.report.plots import draw_errors, located
 
         found, axes = self._drawn("plot_errors").diagnosis, axes_of(ax)
@@ -220,6 +223,7 @@ class Diagnosis(ComputedResult["DiagnosisPart", "DiagnosisResult"]):
             UnknownNameError: No such effect was found.
             UsageError: The result was loaded, and holds no samples.
         """
+        require("matplotlib", "a plot")
         from labhil.report.plots import draw_named_effect
 
         found = self._drawn("plot_effect").diagnosis
@@ -231,11 +235,13 @@ class Diagnosis(ComputedResult["DiagnosisPart", "DiagnosisResult"]):
 
     def figure(self) -> Figure:
         """All panels in one matplotlib figure, as ``labhil diagnose --plot`` writes it."""
+        require("matplotlib", "a plot")
         from labhil.report.plots import diagnosis_figure
 
         return diagnosis_figure(self._drawn("figure").diagnosis)
 
     def _write_page(self, file: Path) -> None:
+        require("matplotlib", "a page with plots")
         from labhil.report.html.diagnosis import diagnosis_page
         from labhil.report.html.page import write_page
         from labhil.report.html.picture import Album
@@ -305,6 +311,7 @@ def diagnose(
         >>> dx.verdict
         'no_mismatch'
     """
+    require_analysis("a diagnosis")
     from labhil.analysis.early import ending_early
     from labhil.analysis.study import diagnose_study
 

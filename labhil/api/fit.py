@@ -30,6 +30,7 @@ from labhil.api.inputs import (
 from labhil.api.render import axes_of, channel_of
 from labhil.api.result import ComputedResult, parameter_frame, parameter_set
 from labhil.api.simulation import Simulation, simulate
+from labhil.extras import require, require_analysis
 from labhil.physics.terms import keyed
 from labhil.signals import FloatArray
 
@@ -186,6 +187,7 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
         Raises:
             UsageError: The result was loaded, and holds no samples.
         """
+        require("matplotlib", "a plot")
         from labhil.report.fit_plot import draw_simulation
 
         study, axes = self._drawn("plot"), axes_of(ax)
@@ -194,6 +196,7 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
 
     def plot_errors(self, ax: Axes | None = None, *, channel: int | str = 0) -> Axes:
         """Draw the errors of the simulation over time, with the noise floor; as :meth:`plot`."""
+        require("matplotlib", "a plot")
         from labhil.report.fit_plot import draw_errors
 
         study, axes = self._drawn("plot_errors"), axes_of(ax)
@@ -202,6 +205,7 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
 
     def plot_residuals(self, ax: Axes | None = None, *, channel: int | str = 0) -> Axes:
         """Draw the autocorrelation of the fitted residuals, with white noise's 99 % band; as :meth:`plot`."""
+        require("matplotlib", "a plot")
         from labhil.report.fit_plot import draw_autocorrelation
 
         study, axes = self._drawn("plot_residuals"), axes_of(ax)
@@ -217,6 +221,7 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
         Returns:
             The matplotlib axes.
         """
+        require("matplotlib", "a plot")
         from labhil.report.intervals_plot import draw_intervals
 
         axes = axes_of(ax, (9.0, 0.9 + 0.3 * len(self.parameters)))
@@ -225,12 +230,14 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
 
     def figure(self) -> Figure:
         """All panels of every output in one matplotlib figure, as ``labhil fit --plot`` writes it."""
+        require("matplotlib", "a plot")
         from labhil.report.fit_plot import fit_figure
 
         study = self._drawn("figure")
         return fit_figure(study.fit, study.material.judge)
 
     def _write_page(self, file: Path) -> None:
+        require("matplotlib", "a page with plots")
         from labhil.report.html.fit import fit_page
         from labhil.report.html.page import write_page
         from labhil.report.html.picture import Album
@@ -310,6 +317,7 @@ def fit(
         >>> fit.verdict
         'explained'
     """
+    require_analysis("a fit")
     from labhil.analysis.early import ending_early
     from labhil.analysis.study import fit_study
     from labhil.identify.estimators import estimator_named

@@ -11,6 +11,7 @@ import numpy as np
 from labhil.api.inputs import PathLike, rig_file
 from labhil.api.render import data_frame, html_of, text_of
 from labhil.errors import UnknownNameError, UsageError
+from labhil.extras import require_analysis
 from labhil.rig import RigFile, parse_rig
 from labhil.toml_text import to_toml
 
@@ -141,6 +142,7 @@ class Model:
     @property
     def baseline(self) -> tuple[str, ...]:
         """The terms with which :func:`labhil.diagnose` begins when none are named."""
+        require_analysis("a model")
         from labhil.physics.rigs import rig_model
 
         return rig_model(self.kind).baseline
@@ -148,6 +150,7 @@ class Model:
     @property
     def general(self) -> tuple[str, ...]:
         """The terms that :func:`labhil.fit` estimates when none are named."""
+        require_analysis("a model")
         from labhil.physics.rigs import rig_model
 
         return rig_model(self.kind).general
@@ -155,6 +158,7 @@ class Model:
     @cached_property
     def terms(self) -> Terms:
         """Every effect that the model may have; prints as a table."""
+        require_analysis("a model")
         from labhil.physics.rigs import model_for
 
         return Terms(self.kind, model_for(self._rig).terms)

@@ -11,6 +11,7 @@ from labhil.api.inputs import PathLike, Progress, path_of, rig_file, telling
 from labhil.api.model import Model
 from labhil.api.render import axes_of, data_frame, data_set
 from labhil.errors import RecordingError, UsageError, suggestion
+from labhil.extras import require
 from labhil.recording.reader import Event, StreamData
 from labhil.recording.reader import Recording as FileRecording
 from labhil.rig import RigFile
@@ -184,6 +185,7 @@ class Recording:
         Raises:
             RecordingError: There is no such signal.
         """
+        require("matplotlib", "a plot")
         from labhil.report.figure import MEASURED, finish
 
         signal = next(iter(self.signals)) if name is None else name

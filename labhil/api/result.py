@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
 from labhil.api.inputs import PathLike, path_of
 from labhil.api.render import WIDTH, data_frame, data_set, html_of, text_of
 from labhil.errors import ModelFileError, UsageError
+from labhil.extras import require_analysis
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -179,6 +180,7 @@ class ComputedResult(Result, Generic[P, S]):
     @property
     def saved(self) -> SavedModel:
         """The (final) model, to start from or to compare with."""
+        require_analysis("a model")
         from labhil.analysis.results import SavedModel
 
         return SavedModel(self._name, self._data)

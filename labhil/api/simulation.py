@@ -11,6 +11,7 @@ import numpy as np
 from labhil.api.inputs import PathLike, number_or_none, taken_of
 from labhil.api.render import axes_of, data_frame, data_set
 from labhil.errors import UnknownNameError, UsageError
+from labhil.extras import require, require_analysis
 from labhil.signals import FloatArray
 
 if TYPE_CHECKING:
@@ -97,6 +98,7 @@ class Simulation:
         Raises:
             UnknownNameError: There is no such output.
         """
+        require("matplotlib", "a plot")
         from labhil.report.figure import AFTER, MEASURED, finish
 
         output = next(iter(self.measured)) if name is None else name
@@ -114,6 +116,7 @@ def simulate(
     saved: SavedModel, rec: PathLike | Recording, *, rig: str | None, horizon: float | None
 ) -> Simulation:
     """Run the model of a result on a recording of a rig of the same kind; see :class:`Simulation`."""
+    require_analysis("a simulation")
     from labhil.analysis.simulate import simulated
 
     found = simulated(taken_of(rec, "recording")[0], saved, rig, number_or_none(horizon, "horizon"))

@@ -20,6 +20,7 @@ from labhil.api.inputs import (
 from labhil.api.render import data_frame
 from labhil.api.result import Result
 from labhil.errors import UsageError
+from labhil.extras import require_analysis
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -159,6 +160,7 @@ def verify(
         >>> lh.verify("recordings/ball_beam_test.mcap", "examples/fit.json").contradicted
         False
     """
+    require_analysis("a verification")
     from labhil.analysis.verification import verify_study
 
     reference = reference_of(accepted, "accepted")

@@ -28,7 +28,7 @@ def firmware(
 ) -> None:
     """Tell where a bench's firmware for the Arduino Mega is, or copy it to edit and build it.
 
-    How to build, flash, wire and calibrate: docs/firmware.md.
+    How to build and flash: docs/how-to/flash-firmware.md; to wire and calibrate: docs/how-to/wire-a-bench.md.
     """
     from labhil import plugins
 

@@ -1,6 +1,7 @@
 """The states of a run, which may follow which, and the handle that others control it by.
 
-:data:`TRANSITIONS` is the only place that says what may follow what; the diagram in ``docs/safety.md`` is
+:data:`TRANSITIONS` is the only place that says what may follow what; the diagram in
+``docs/explanation/safety.md`` is
 made of it.
 """
 

@@ -74,7 +74,7 @@ def _steps(stamps: Stamps, fit: ClockFit, t: FloatArray) -> list[ClockFault]:
             ClockFault(
                 ClockFaultKind.STEP, tuple(t[rows[own]].tolist()), True,
                 f"the device's clock jumps{_where(-sizes[own] * stamps.speed, t[rows[own]])} against its own "
-                "count of samples: the time of analysis is wrong there. Use one side of it only (--span).",
+                "count of samples: the time of analysis is wrong there. Use one side only (option span).",
             )
         )  # fmt: skip
     if not own.all():
@@ -191,7 +191,7 @@ def _step_of_host_stamps(stamps: Stamps, t: FloatArray, jumps: list[tuple[int, f
     why = "nothing was sampled then, or the clock was set ahead"
     if back:
         why = "the clock was set, or rows are repeated" if stamps.are_one else "the clock was set"
-        why += ". The time of analysis is wrong there: use one side of it only (--span)"
+        why += ". The time of analysis is wrong there: use one side only (option span)"
     return ClockFault(
         ClockFaultKind.STEP, tuple(t[rows].tolist()), back,
         f"the times jump{_where(sizes * stamps.speed, t[rows])} against the count of samples, and the device "

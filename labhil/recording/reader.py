@@ -254,7 +254,7 @@ def read_recordings(paths: Sequence[Path], run: int | None = None) -> list[Recor
     if run is not None and found and not 1 <= run <= most:
         names = ", ".join(str(path) for path in paths)
         many = "one run of each stream" if most == 1 else f"{most} runs of a stream"
-        raise RecordingError(f"--run {run}: expected a number from 1 to {most}, found {many} in {names}")
+        raise RecordingError(f"run {run}: expected a number from 1 to {most}, found {many} in {names}")
     return found
 
 

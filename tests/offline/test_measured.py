@@ -1,4 +1,7 @@
-"""Measured data of real rigs by the commands of docs/measured.md, against the figures that others publish."""
+"""Measured data of real rigs against the figures that others publish.
+
+The commands are those of docs/reference/measured-recordings.md.
+"""
 
 from __future__ import annotations
 

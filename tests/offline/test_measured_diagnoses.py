@@ -1,4 +1,7 @@
-"""What a diagnosis says of measured data whose baseline lacks what is known to be there: docs/measured.md."""
+"""What a diagnosis says of measured data whose baseline lacks what is known to be there.
+
+The page is docs/reference/measured-diagnoses.md.
+"""
 
 from __future__ import annotations
 

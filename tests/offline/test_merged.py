@@ -54,7 +54,7 @@ def test_every_command_asks_which_run(labhil, two_runs: Path, tmp_path: Path, co
     assert "two.mcap: expected one run of /bench/state, found 2: 1: 1600 samples, 15.99 s from" in told
     assert "choose one with --run N" in told
     told = labhil(command, *COMMANDS[command], "--run", "3").refused()
-    assert "--run 3: expected a number from 1 to 2" in told
+    assert "run 3: expected a number from 1 to 2" in told
 
 
 def test_the_run_that_is_chosen_is_taken(labhil, two_runs: Path, tmp_path: Path) -> None:

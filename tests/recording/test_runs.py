@@ -121,14 +121,14 @@ def test_two_runs_are_refused_until_one_is_chosen(tmp_path, case):
     same(second.streams[0], another_boot(200))
     assert len(first.events) == len(second.events) == 1
     assert second.events[0].t == pytest.approx(1e-9)
-    with pytest.raises(RecordingError, match=r"--run 3: expected a number from 1 to 2"):
+    with pytest.raises(RecordingError, match=r"run 3: expected a number from 1 to 2"):
         read_recording(path, 3)
 
 
 def test_a_run_is_asked_for_only_where_there_are_several(tmp_path):
     path = merged(tmp_path / "a.mcap", batch(0, 300))
     same(read_recording(path, 1).streams[0], batch(0, 300))
-    with pytest.raises(RecordingError, match=r"--run 2: expected a number from 1 to 1, found one run"):
+    with pytest.raises(RecordingError, match=r"run 2: expected a number from 1 to 1, found one run"):
         read_recording(path, 2)
 
 

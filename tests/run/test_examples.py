@@ -1,7 +1,8 @@
-"""The scripts under examples/, and the code of docs/python.md, run as they stand."""
+"""The scripts and notebooks under examples/, and the code of docs/tutorials/python.md, run as they stand."""
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -11,6 +12,15 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 SCRIPTS = sorted(path.name for path in (ROOT / "examples").glob("*.py"))
+
+
+NOTEBOOKS = sorted(path.name for path in (ROOT / "examples" / "notebooks").glob("*.ipynb"))
+
+
+def code_cells(name):
+    """The cells of a notebook that hold code."""
+    notebook = json.loads((ROOT / "examples" / "notebooks" / name).read_text(encoding="utf-8"))
+    return [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
 
 
 @pytest.fixture
@@ -42,9 +52,26 @@ def test_the_script_runs(name, folder):
     assert done.stdout
 
 
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_a_notebook_is_named_and_has_no_outputs(name):
+    assert f"[{name}](notebooks/{name})" in (ROOT / "examples" / "README.md").read_text(encoding="utf-8")
+    cells = code_cells(name)
+    assert cells
+    assert [cell for cell in cells if cell["outputs"] or cell["execution_count"] is not None] == []
+
+
 @pytest.mark.extended
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("page", ["docs/python.md", "README.md"])
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_the_notebook_runs_from_its_first_cell_to_its_last(name, folder):
+    done = run("-c", "\n\n".join("".join(cell["source"]) for cell in code_cells(name)), folder=folder)
+    assert done.returncode == 0, done.stderr
+    assert "stribeck_friction" in done.stdout
+
+
+@pytest.mark.extended
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("page", ["docs/tutorials/python.md", "README.md"])
 def test_the_code_of_the_page_runs(page, folder):
     text = (ROOT / page).read_text(encoding="utf-8")
     code = "\n".join(re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE))

@@ -1,4 +1,4 @@
-/* Frames on the wire: COBS(version | type | seq | t_us | payload | crc) 0x00, as in docs/protocol.md.
+/* Frames on the wire: COBS(version | type | seq | t_us | payload | crc) 0x00, as in docs/reference/serial-protocol.md.
  *
  * Plain C11 without any hardware, so that a test on the host holds it to the same golden vectors as
  * labhil/link.py.

@@ -1,0 +1,48 @@
+"""The page of the documents that each command's help names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import typer
+
+GUIDES: Mapping[str, str] = {
+    "labhil twin": "docs/tutorials/first-recording.md",
+    "labhil devices": "docs/how-to/index.md",
+    "labhil run": "docs/how-to/write-an-experiment.md",
+    "labhil estop": "docs/explanation/safety.md",
+    "labhil control": "docs/explanation/safety.md",
+    "labhil serve": "docs/how-to/automate.md",
+    "labhil firmware": "docs/how-to/flash-firmware.md",
+    "labhil import": "docs/how-to/import-and-export.md",
+    "labhil export": "docs/how-to/import-and-export.md",
+    "labhil recover": "docs/how-to/import-and-export.md",
+    "labhil terms": "docs/reference/terms.md",
+    "labhil fit": "docs/tutorials/refit.md",
+    "labhil diagnose": "docs/how-to/read-a-diagnosis.md",
+    "labhil verify": "docs/how-to/gate-in-ci.md",
+    "labhil report": "docs/how-to/automate.md",
+    "labhil linear": "docs/explanation/rigs.md",
+    "labhil demo": "docs/tutorials/demo.md",
+    "labhil tui": "docs/how-to/terminal-ui.md",
+    "labhil doctor": "docs/how-to/what-to-do-when.md",
+}
+"""By the command as it is typed; of the others the reference of the command line is the page."""
+
+
+def link_pages(app: typer.Typer, path: str = "labhil") -> None:
+    """Add to the help of every command, and of those in its groups, the page that says more.
+
+    Args:
+        app: The application, or a group of it, with all commands registered.
+        path: How it is typed.
+    """
+    for command in app.registered_commands:
+        typed = f"{path} {command.name or getattr(command.callback, '__name__', '')}"
+        reference = f"docs/reference/cli.md#{typed.replace(' ', '-')}"
+        command.epilog = "\n\n".join(
+            part for part in (command.epilog, f"Page: {GUIDES.get(typed, reference)}") if part
+        )
+    for group in app.registered_groups:
+        if group.typer_instance is not None:
+            link_pages(group.typer_instance, f"{path} {group.name}")
