@@ -28,6 +28,7 @@ from labhil.physics.solenoid import SolenoidModel
 from labhil.recording.reader import Recording, read_recordings
 from labhil.recording.rig_attachments import rig_name
 from labhil.rig import RigFile, load_rig
+from labhil.simulators.model import SimulatorModel
 
 HOLDOUT = 0.3
 
@@ -72,7 +73,11 @@ class Material:
 
     def notes(self) -> list[str]:
         """What the model wants a person to know of what it took for known."""
-        notes = list(self.model.notes) if isinstance(self.model, (ArmModel, SolenoidModel)) else []
+        notes = (
+            list(self.model.notes)
+            if isinstance(self.model, (ArmModel, SolenoidModel, SimulatorModel))
+            else []
+        )
         units = {signal.name: signal.unit for signal in self.rig.kind.inputs}
         notes += smoothing_notes(self.measured, units.get(self.measured.input_names[0], ""))
         if constant(self.learn.inputs).all():
