@@ -390,7 +390,10 @@ def rig_of(recording: Recording, rig_file: Path | RigFile | None) -> RigFile:
                 "merged; say which one holds with --rig RIG.toml"
             )
         damage = f" ({recording.damage})" if recording.damage else ""
-        raise RecordingError(f"{recording.path}: carries no rig file{damage}; give one with --rig RIG.toml")
+        raise RecordingError(
+            f"{recording.path}: carries no rig file{damage}; give one with --rig RIG.toml (that of a "
+            "simulator in a Python file always has to be given: code that came with a recording is not run)"
+        )
     return recording.rig
 
 

@@ -41,6 +41,16 @@ def tried(simulator: Simulator) -> None:
                 _refuse(simulator, f"the rate of {position} to be {velocity} = {v:g}, found {first[0]:g}")
 
 
+def is_damped(simulator: Simulator) -> bool:
+    """Whether its acceleration changes with the velocity anywhere."""
+    values = [quantity.start for quantity in simulator.parameters.values()] or [0.0]
+    return any(
+        _rates(simulator, 0.0, (x, v), 0.5, values)[1] != _rates(simulator, 0.0, (x, 0.0), 0.5, values)[1]
+        for x in POINTS
+        for v in POINTS
+    )
+
+
 def _rates(
     simulator: Simulator, t: float, state: tuple[float, float], u: float, values: list[float]
 ) -> tuple[float, float]:

@@ -17,14 +17,14 @@ from labhil.physics.rigs import RigModel, declare_model
 from labhil.physics.terms import Parameter
 from labhil.rig import RigFile, parse_rig
 from labhil.signals import Direction, Hold, Signal
-from labhil.simulators.probing import tried
+from labhil.simulators.probing import is_damped, tried
 
 RightHandSide = Callable[[float, Any, Any, Any], Sequence[float]]
 """``f(t, x, u, p)`` to the rates of the states; x, u and p have their values by name and by number."""
 
 DECADES = 1e3
-BASELINE = ("viscous_friction",)
-GENERAL = (*BASELINE, "coulomb_friction", "constant_force")
+UNDAMPED = ("viscous_friction",)
+"""What a simulator without damping of its own begins with."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,18 +215,18 @@ def simulator(
         f, called, dict(states), dict(inputs), measured, quantities, position, given[position], horizon
     )
     tried(made)
-    _declare(made)
+    _declare(made, () if is_damped(made) else UNDAMPED)
     return made
 
 
-def _declare(made: Simulator) -> None:
+def _declare(made: Simulator, baseline: tuple[str, ...]) -> None:
     from labhil.simulators.model import SimulatorModel
 
     def model(rig: RigFile, record: Any = None) -> Any:
         return SimulatorModel(made, rig, record)
 
     declare_kind(made.kind)
-    declare_model(made.name, RigModel(model, BASELINE, GENERAL))
+    declare_model(made.name, RigModel(model, baseline, (*baseline, "coulomb_friction")))
 
 
 def _measured(

@@ -44,7 +44,7 @@ def test_the_script_runs(name, folder):
 
 @pytest.mark.extended
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("page", ["docs/python.md", "README.md"])
+@pytest.mark.parametrize("page", ["docs/python.md", "README.md", "docs/tutorials/your-own-rig-in-python.md"])
 def test_the_code_of_the_page_runs(page, folder):
     text = (ROOT / page).read_text(encoding="utf-8")
     code = "\n".join(re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE))

@@ -92,6 +92,42 @@ def test_a_diagnosis_names_what_the_plant_conceals_and_nothing_else(
 
 
 @pytest.mark.extended
+def test_a_motor_with_damping_of_its_own_is_known_to_lack_dry_friction() -> None:
+    motor = lh.simulator(
+        lambda t, x, u, p: (x.rate, (p.gain * u.voltage - p.drag * x.rate) / p.inertia),
+        name="motor_of_a_test",
+        states={"angle": "rad", "rate": "rad/s"},
+        inputs={"voltage": "V"},
+        outputs=["rate"],
+        parameters={
+            "gain": lh.Quantity(0.05, "N·m/V"),
+            "drag": lh.Quantity(1e-3, "N·m·s/rad"),
+            "inertia": lh.Quantity(1e-3, "kg·m²"),
+        },
+        coordinates={"angle": lh.Coordinate("rate", inertia="inertia", force="N·m")},
+    )
+    t = np.arange(0.0, 12.0, 0.01)
+    voltage = 4 * np.sin(2 * t) + 3 * np.sin(5.1 * t + 1) + 2 * np.sin(11 * t)
+    noise = 0.05 * np.random.default_rng(4).standard_normal(len(t))
+    recording = lh.recording(t, {"voltage": voltage}, {"rate": turned(voltage) + noise}, rig=motor)
+    found = lh.diagnose(recording, lh.model(motor, known={"inertia": 1.2e-3}), method="evidence")
+    assert [effect.term for effect in found.missing] == ["coulomb_friction"]
+    assert "viscous_friction" not in str(found.baseline)
+
+
+def turned(voltage: np.ndarray) -> np.ndarray:
+    """Speeds (n,) at 100 Hz of a motor with 0.05 N·m of dry friction, in small steps with rests."""
+    rate, rates = 0.0, []
+    for torque in 0.06 * voltage:
+        rates.append(rate)
+        for _ in range(100):
+            side = np.sign(rate or torque)
+            after = rate + 1e-4 * (torque - 2e-3 * rate - side * 0.05) / 1.2e-3
+            rate = 0.0 if after * rate < 0.0 or (rate == 0.0 and abs(torque) <= 0.05) else after
+    return np.array(rates)
+
+
+@pytest.mark.extended
 def test_a_parameter_that_never_reaches_the_simulation_is_said_so() -> None:
     rig = pendulum(
         name="pendulum_with_a_dead_value",
