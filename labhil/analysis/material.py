@@ -31,6 +31,7 @@ from labhil.rig import RigFile, load_rig
 from labhil.simulators.model import SimulatorModel
 
 HOLDOUT = 0.3
+SPEAKING = (ArmModel, SolenoidModel, SimulatorModel)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,11 +74,7 @@ class Material:
 
     def notes(self) -> list[str]:
         """What the model wants a person to know of what it took for known."""
-        notes = (
-            list(self.model.notes)
-            if isinstance(self.model, (ArmModel, SolenoidModel, SimulatorModel))
-            else []
-        )
+        notes = list(self.model.notes) if isinstance(self.model, SPEAKING) else []
         units = {signal.name: signal.unit for signal in self.rig.kind.inputs}
         notes += smoothing_notes(self.measured, units.get(self.measured.input_names[0], ""))
         if constant(self.learn.inputs).all():
