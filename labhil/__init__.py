@@ -39,9 +39,11 @@ if TYPE_CHECKING:
     from labhil.api.simulation import Simulation
     from labhil.api.verification import Verification, verify
     from labhil.experiment.bench import Bench
+    from labhil.simulators.simulator import Coordinate, Quantity, Simulator, simulator
 
 __all__ = [
     "Bench",
+    "Coordinate",
     "Diagnosis",
     "ExcludedEffect",
     "Experiment",
@@ -51,10 +53,12 @@ __all__ = [
     "MissingEffect",
     "Model",
     "Parameter",
+    "Quantity",
     "Recording",
     "Rival",
     "Score",
     "Simulation",
+    "Simulator",
     "Terms",
     "Verification",
     "connect",
@@ -67,6 +71,7 @@ __all__ = [
     "read",
     "recording",
     "run",
+    "simulator",
     "verify",
 ]
 

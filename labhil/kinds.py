@@ -174,10 +174,24 @@ PLUGGED = "labhil.rigs"
 """Entry points under which other packages register a :class:`RigKind` by its name."""
 
 
+_DECLARED: dict[str, RigKind] = {}
+"""Kinds of this process only, by name: those of simulators that a user's own file describes."""
+
+
+def declare_kind(kind: RigKind) -> None:
+    """Make the kind of a user's own simulator known in this process; a later one of the name replaces it.
+
+    Raises UsageError where the name belongs to a rig of ours or of an installed package.
+    """
+    if kind.name in kind_names() and kind.name not in _DECLARED:
+        raise UsageError(f"simulator {kind.name!r}: expected a name of its own, found that of a rig kind")
+    _DECLARED[kind.name] = kind
+
+
 def kind_names() -> tuple[str, ...]:
     """Names of all rig kinds, ours first; nothing is imported."""
     plugged = {point.name for point in entry_points(group=PLUGGED)} - set(KINDS)
-    return (*KINDS, *sorted(plugged))
+    return (*KINDS, *sorted(plugged), *sorted(_DECLARED))
 
 
 def kind_named(name: str) -> RigKind:
@@ -187,6 +201,8 @@ def kind_named(name: str) -> RigKind:
     """
     if name in KINDS:
         return KINDS[name]
+    if name in _DECLARED:
+        return _DECLARED[name]
     for point in entry_points(group=PLUGGED):
         if point.name == name:
             return _plugged(point)

@@ -17,8 +17,9 @@ from pydantic import (
 )
 
 from labhil.documents import DocumentError, parse_toml
-from labhil.errors import RigFileError, suggestion
+from labhil.errors import RigFileError, UsageError, suggestion
 from labhil.kinds import Known, RigKind, kind_named, kind_names
+from labhil.python_file import object_of
 from labhil.signals import Hold
 
 Threshold = Annotated[float, Field(allow_inf_nan=False)] | None
@@ -44,6 +45,12 @@ class RigSection(_Section):
         if value not in names:
             raise ValueError(f"no such rig{suggestion(value, names)}; known: {', '.join(sorted(names))}")
         return value
+
+
+class ModelSection(_Section):
+    """``[model]``: the simulator of a user's own, in place of ``[rig]``: a Python file and a name in it."""
+
+    python: str
 
 
 class Limit(_Section):
@@ -194,6 +201,7 @@ class RigFile(_Section):
     """
 
     rig: RigSection
+    model: ModelSection | None = None
     known: dict[str, float | list[float] | str] = {}
     nominal: dict[str, float] = {}
     limits: dict[str, Limit] = {}
@@ -277,7 +285,7 @@ def load_rig(path: Path) -> RigFile:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise RigFileError(f"{path}: cannot be read as a rig file (TOML): {error}") from error
-    rig = parse_rig(text, path)
+    rig = parse_rig(_with_kind(text, path), path).model_copy(update={"text": text})
     found = {name: rig.known_file(name) for name, what in rig.kind.known.items() if what.table}
     return rig.model_copy(update={"files": {name: file.content for name, file in found.items() if file}})
 
@@ -297,6 +305,11 @@ def parse_rig(text: str, path: Path, files: Mapping[str, bytes] | None = None) -
         data = parse_toml(text)
     except DocumentError as error:
         raise RigFileError(f"{path}: not TOML: {error}") from error
+    if "model" in data and "rig" not in data:
+        raise OwnSimulatorError(
+            f"{path}: describes a simulator by a Python file, which is not run unless you name it yourself: "
+            "give the rig file with --rig RIG.toml"
+        )
     if "rig" not in data:
         near = suggestion("rig", data)
         raise RigFileError(
@@ -307,6 +320,31 @@ def parse_rig(text: str, path: Path, files: Mapping[str, bytes] | None = None) -
         return RigFile.model_validate({**data, "path": path, "text": text, "files": dict(files or {})})
     except ValidationError as error:
         raise RigFileError(explain(error, path, RigFile)) from error
+
+
+class OwnSimulatorError(RigFileError):
+    """A rig file that came with a recording would run code of its author."""
+
+
+def _with_kind(text: str, path: Path) -> str:
+    """The text of a rig file that was named by its user, with the kind that its simulator is."""
+    try:
+        section = parse_toml(text).get("model")
+    except DocumentError:
+        return text  # said where it is parsed
+    stated = section.get("python") if isinstance(section, Mapping) else None
+    if not isinstance(stated, str):
+        return text
+    try:
+        kind = getattr(object_of(stated, path.parent), "kind", None)
+    except UsageError as error:
+        raise RigFileError(f"{path}: model.python: {error}") from error
+    if not isinstance(kind, RigKind):
+        raise RigFileError(
+            f"{path}: model.python: expected what labhil.simulator gives, found something else in {stated}"
+        )
+    stated_kind = "" if "rig" not in parse_toml(text) else text
+    return stated_kind or f'{text}\n[rig]\nkind = "{kind.name}"\n'
 
 
 def default_rig(kind: str) -> RigFile:

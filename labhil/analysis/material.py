@@ -28,8 +28,10 @@ from labhil.physics.solenoid import SolenoidModel
 from labhil.recording.reader import Recording, read_recordings
 from labhil.recording.rig_attachments import rig_name
 from labhil.rig import RigFile, load_rig
+from labhil.simulators.model import SimulatorModel
 
 HOLDOUT = 0.3
+SPEAKING = (ArmModel, SolenoidModel, SimulatorModel)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +74,7 @@ class Material:
 
     def notes(self) -> list[str]:
         """What the model wants a person to know of what it took for known."""
-        notes = list(self.model.notes) if isinstance(self.model, (ArmModel, SolenoidModel)) else []
+        notes = list(self.model.notes) if isinstance(self.model, SPEAKING) else []
         units = {signal.name: signal.unit for signal in self.rig.kind.inputs}
         notes += smoothing_notes(self.measured, units.get(self.measured.input_names[0], ""))
         if constant(self.learn.inputs).all():
@@ -385,7 +387,10 @@ def rig_of(recording: Recording, rig_file: Path | RigFile | None) -> RigFile:
                 "merged; say which one holds with --rig RIG.toml"
             )
         damage = f" ({recording.damage})" if recording.damage else ""
-        raise RecordingError(f"{recording.path}: carries no rig file{damage}; give one with --rig RIG.toml")
+        raise RecordingError(
+            f"{recording.path}: carries no rig file{damage}; give one with --rig RIG.toml (that of a "
+            "simulator in a Python file always has to be given: code that came with a recording is not run)"
+        )
     return recording.rig
 
 

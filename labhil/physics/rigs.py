@@ -25,13 +25,14 @@ ALL_SPEEDS = ("stribeck_friction", "quadratic_viscous_friction", "cubic_viscous_
 class RigModel:
     """How a rig kind is modelled.
 
-    ``model`` names its class as "module:class", imported when needed. ``baseline`` are the terms that a
-    model holds when nobody says otherwise and something is to be found missing, ``general`` those when
-    it is to be fitted and nobody says otherwise (the reference text's general models). ``facts`` names the
-    function that states what physics knows of a recording of such a rig (see ``physics.facts``), "" for none.
+    ``model`` names its class as "module:class", imported when needed, or is what makes it. ``baseline`` are
+    the terms that a model holds when nobody says otherwise and something is to be found missing, ``general``
+    those when it is to be fitted and nobody says otherwise (the reference text's general models). ``facts``
+    names the function that states what physics knows of a recording of such a rig (see ``physics.facts``),
+    "" for none.
     """
 
-    model: str
+    model: str | Callable[[RigFile, Record | None], Model]
     baseline: tuple[str, ...]
     general: tuple[str, ...]
     facts: str = ""
@@ -46,6 +47,8 @@ class RigModel:
 
     def load(self) -> Callable[[RigFile, Record | None], Model]:
         """The class: rig file and the record that sizes are taken from (None: typical sizes) to a model."""
+        if not isinstance(self.model, str):
+            return self.model
         module, _, name = self.model.partition(":")
         found: Callable[[RigFile, Record | None], Model] = getattr(import_module(module), name)
         return found
@@ -91,10 +94,20 @@ PLUGGED = "labhil.models"
 """Entry points under which other packages register a ``RightHandSide`` by the name of its rig kind."""
 
 
+_DECLARED: dict[str, RigModel] = {}
+
+
+def declare_model(kind: str, model: RigModel) -> None:
+    """Make known in this process how the rig kind of a user's own simulator is modelled."""
+    _DECLARED[kind] = model
+
+
 def rig_model(kind: str) -> RigModel:
     """How a rig kind is modelled; UnknownNameError lists those that are."""
     if kind in MODELS:
         return MODELS[kind]
+    if kind in _DECLARED:
+        return _DECLARED[kind]
     for point in entry_points(group=PLUGGED):
         if point.name == kind:
             stated = point.load()

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path, PurePath
 
 from labhil.errors import RecordingError, RigFileError
-from labhil.rig import RigFile, parse_rig
+from labhil.rig import OwnSimulatorError, RigFile, parse_rig
 
 RIG_ATTACHMENT = "rig.toml"
 
@@ -43,7 +43,7 @@ def attached_rig(path: Path, attachments: Mapping[str, bytes], device: str | Non
     """Read the rig file that the recording ``path`` carries, with the files that it names.
 
     Returns:
-        The rig file; None when the recording carries none.
+        The rig file; None when the recording carries none, or one whose simulator is a Python file.
 
     Raises:
         RecordingError: It carries one that cannot be used.
@@ -60,6 +60,8 @@ def attached_rig(path: Path, attachments: Mapping[str, bytes], device: str | Non
             if (file := _file_name(name, key, str(value))) in attachments
         }
         return parse_rig(text, place, files) if files else rig
+    except OwnSimulatorError:
+        return None  # code that came with data is not run: who analyses it names the rig file
     except (UnicodeDecodeError, RigFileError) as error:
         raise RecordingError(f"{path}: its attached rig file cannot be used: {error}") from error
 

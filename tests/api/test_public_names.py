@@ -16,6 +16,7 @@ ROOT = Path(__file__).parents[2]
 
 NAMES = [
     "Bench",
+    "Coordinate",
     "Diagnosis",
     "ExcludedEffect",
     "Experiment",
@@ -25,10 +26,12 @@ NAMES = [
     "MissingEffect",
     "Model",
     "Parameter",
+    "Quantity",
     "Recording",
     "Rival",
     "Score",
     "Simulation",
+    "Simulator",
     "Terms",
     "Verification",
     "connect",
@@ -41,6 +44,7 @@ NAMES = [
     "read",
     "recording",
     "run",
+    "simulator",
     "verify",
 ]
 WITH_A_DEVICE = ("Bench", "Experiment", "connect", "run")

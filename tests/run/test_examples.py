@@ -71,7 +71,9 @@ def test_the_notebook_runs_from_its_first_cell_to_its_last(name, folder):
 
 @pytest.mark.extended
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("page", ["docs/tutorials/python.md", "README.md"])
+@pytest.mark.parametrize(
+    "page", ["docs/tutorials/python.md", "README.md", "docs/tutorials/your-own-rig-in-python.md"]
+)
 def test_the_code_of_the_page_runs(page, folder):
     text = (ROOT / page).read_text(encoding="utf-8")
     code = "\n".join(re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE))

@@ -1,0 +1,43 @@
+"""An object of somebody's own Python file, as ``bench.py:pendulum`` names it."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+
+from labhil.errors import UsageError, suggestion
+
+
+def object_of(stated: str, folder: Path) -> object:
+    """Run a Python file and give what one of its names stands for.
+
+    Args:
+        stated: File and name, ``bench.py:pendulum``.
+        folder: Where the file stands, when its path is relative.
+
+    Returns:
+        The object.
+
+    Raises:
+        UsageError: There is no such file or name, or the file cannot be run.
+    """
+    file, colon, name = stated.rpartition(":")
+    if not colon or not file.endswith(".py") or not name.isidentifier():
+        raise UsageError(f"expected a Python file and a name in it, like bench.py:pendulum, found {stated!r}")
+    path = (folder / file).resolve()
+    if not path.is_file():
+        raise UsageError(f"expected the Python file {path}, found none (paths are relative to the rig file)")
+    spec = importlib.util.spec_from_file_location(f"labhil_file_{path.stem}", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise UsageError(f"{path}: cannot be run: {type(error).__name__}: {error}") from error
+    names = [each for each in vars(module) if not each.startswith("_")]
+    if name not in names:
+        raise UsageError(f"{path}: has no {name!r}{suggestion(name, names)}")
+    found: object = getattr(module, name)
+    return found

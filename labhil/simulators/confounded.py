@@ -1,0 +1,75 @@
+"""Which effects a recording cannot tell from a simulator's own parameters, by the rank of sensitivities."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from labhil.physics.model import Record, Windows, index_of, start_values
+from labhil.physics.terms import Parameter
+from labhil.signals import FloatArray
+
+if TYPE_CHECKING:
+    from labhil.simulators.model import SimulatorModel
+
+STEP = 1e-6
+APART = 1e-3
+"""Share of an effect's own change of the outputs that must be no change of the parameters' and states'."""
+
+
+def confounded(
+    model: SimulatorModel, own: Sequence[Parameter], record: Record, windows: Windows, states: FloatArray
+) -> dict[str, str]:
+    """Effects of one parameter that change the outputs just as the simulator's own do, with the reason.
+
+    An effect that changes nothing at the start is left to those who fit it.
+    """
+    theta, index = start_values(model.parameters), index_of(model.parameters)
+    base = model.simulate(theta, record, windows, states)
+
+    def change(key: str) -> FloatArray:
+        parameter = model.parameters[index[key]]
+        moved = theta.copy()
+        step = STEP * (parameter.scale if theta[index[key]] == 0.0 else abs(theta[index[key]]))
+        moved[index[key]] += step
+        return np.asarray((model.simulate(moved, record, windows, states) - base) / step).ravel()
+
+    known = _normed([change(p.key) for p in own] + _by_states(model, theta, record, windows, states, base))
+    found = {}
+    for key, term in model.terms.items():
+        if len(term.parameters) != 1:
+            continue
+        column = change(term.parameters[0].key)
+        size = float(np.linalg.norm(column))
+        if not np.isfinite(size) or size == 0.0:
+            continue
+        left = column - known @ np.linalg.lstsq(known, column, rcond=1e-10)[0]
+        if float(np.linalg.norm(left)) < APART * size:
+            names = ", ".join(p.name for p in own)
+            found[key] = f"it changes the outputs just as {names} of the simulator, or the first state, do"
+    return found
+
+
+def _by_states(
+    model: SimulatorModel,
+    theta: FloatArray,
+    record: Record,
+    windows: Windows,
+    states: FloatArray,
+    base: FloatArray,
+) -> list[FloatArray]:
+    """How the first states of each window change the outputs, a column each."""
+    columns = []
+    for k, scale in enumerate(model.state_scale):
+        moved = states.copy()
+        moved[:, k] += STEP * scale
+        change = (model.simulate(theta, record, windows, moved) - base) / STEP
+        columns += [np.where((windows.owner == w)[:, None], change, 0.0).ravel() for w in range(len(windows))]
+    return columns
+
+
+def _normed(columns: Sequence[FloatArray]) -> FloatArray:
+    sizes = [float(np.linalg.norm(column)) or 1.0 for column in columns]
+    return np.column_stack([column / size for column, size in zip(columns, sizes, strict=True)])

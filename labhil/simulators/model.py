@@ -1,0 +1,295 @@
+"""What an analysis works on where the rig is a user's own simulator (satisfies ``physics.model.Model``)."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from labhil.errors import RecordingError
+from labhil.physics import sliding
+from labhil.physics.driven import DrivenPath
+from labhil.physics.extra_force import ExtraForce, MovedPart, Pushed, PushedCourse
+from labhil.physics.guesses import yardsticks_of
+from labhil.physics.model import Metric, Record, Windows, start_values
+from labhil.physics.moving_part import NO_STOPS
+from labhil.physics.terms import Parameter, Term, Yardstick
+from labhil.physics.values import Values, known_numbers
+from labhil.rig import RigFile
+from labhil.signals import FloatArray
+from labhil.simulators.catalogue import Sizes, catalogue
+from labhil.simulators.confounded import confounded
+from labhil.simulators.laws import Course, Kernels, Pushes, kernels_of
+from labhil.simulators.probing import dead_parameters
+
+if TYPE_CHECKING:
+    from labhil.simulators.simulator import Simulator
+
+STATE_SPAN = 0.05
+"""Seconds over which the first position and velocity of a window are guessed."""
+
+PLACES = 12
+"""Places along a recording at which the stiffness of the right-hand side is looked at."""
+
+FEWEST_ROWS = 40
+"""Samples that a scored horizon has at least."""
+
+NUDGE = 1e-4
+REMEMBERED = 32
+_KERNELS: dict[int, tuple[Simulator, Kernels]] = {}
+
+
+def compiled_of(simulator: Simulator) -> Kernels:
+    """The kernels of a simulator, compiled once in a process."""
+    found = _KERNELS.get(id(simulator.f))
+    if found is None or found[0].f is not simulator.f or found[0].states != simulator.states:
+        found = _KERNELS[id(simulator.f)] = (simulator, kernels_of(simulator))
+    return found[1]
+
+
+class Own(NamedTuple):
+    """What the right-hand side says of itself at some values of its parameters."""
+
+    values: Any
+    gain: float
+    inertia: float
+    stiff: float
+    quick: float
+
+
+class SimulatorModel:
+    """The model of a user's simulator with the catalogue at its ports.
+
+    Simulates the measured ones of position and velocity; the input is the simulator's own.
+    """
+
+    metric = Metric.WINDOWED_SIMULATION
+    forgets = False
+    _extra: ExtraForce | None = None
+
+    def __init__(self, simulator: Simulator, rig: RigFile, record: Record | None = None) -> None:
+        self.simulator = simulator
+        self.kind = simulator.name
+        self.position, self.velocity = simulator.states
+        self.state_names = (self.position, _velocity_name(self.position, self.velocity))
+        self.fixed: dict[str, float] = known_numbers(rig)
+        self.force_unit = simulator.force_unit
+        self.coordinate_units: Mapping[str, str] = {
+            **dict(zip(self.state_names, simulator.states.values(), strict=True)),
+            **simulator.inputs,
+        }
+        self.moved = (MovedPart(*self.state_names),)
+        self.columns = [list(simulator.states).index(name) for name in simulator.outputs]
+        self._velocity_column = self.columns.index(1) if 1 in self.columns else None
+        self._path = DrivenPath()
+        self._remembered: dict[tuple[float, ...], Own] = {}
+        self._places = np.array([[0.0, 0.0, 0.0], [0.3, 0.1, 0.1]])
+        own = tuple(q.parameter(n) for n, q in simulator.parameters.items() if n not in self.fixed)
+        self._set(own, {}, Sizes())
+        self._measure(own, record)
+        self.horizon = rig.metric.horizon or simulator.horizon or self.sizes.horizon
+        self.never_seen: Mapping[str, str] = {}
+        self.notes: list[str] = []
+        if record is not None:
+            self._try_out(own, record)
+
+    def _set(self, own: tuple[Parameter, ...], terms: Mapping[str, Term], sizes: Sizes) -> None:
+        self.sizes, self.terms = sizes, terms
+        self.parameters = own + tuple(p for term in terms.values() for p in term.parameters)
+        self._values = Values(self.fixed, self.parameters)
+        self.state_scale = np.array([0.02 * sizes.span, 0.1 * sizes.speed])
+
+    def _measure(self, own: tuple[Parameter, ...], record: Record | None) -> None:
+        """Take scales and terms from a recording."""
+        sizes = Sizes()
+        if record is not None:
+            at = self._own(start_values(own))
+            sizes = Sizes.of(record, self._velocity_column, at.inertia, at.gain)
+            rows = np.linspace(0, len(record) - 2, PLACES).astype(int)
+            begun = self.initial_states(record, Windows.of([(r, min(r + 8, len(record))) for r in rows]))
+            self._places = np.column_stack([begun, record.inputs[rows, 0]])
+            self._remembered.clear()
+            swing = 2.0 * np.pi / float(np.sqrt(max(self._own(start_values(own)).stiff, 1e-12)))
+            shortest = FEWEST_ROWS * record.period
+            # one swing: what goes over its upper rest forgets within a few where it came from
+            sizes = replace(sizes, horizon=max(min(sizes.horizon, swing), shortest))
+        length = self.simulator.states[self.position]
+        channel, unit = next(iter(self.simulator.outputs.items()))
+        drive = next(iter(self.simulator.inputs.values()))
+        self._set(own, catalogue(sizes, self.force_unit, length, self.position, drive, channel, unit), sizes)
+
+    def _try_out(self, own: tuple[Parameter, ...], record: Record) -> None:
+        """Find what of the parameters never reaches the outputs, and which effects look like others."""
+        windows = _short(record, self.horizon)
+        states, theta = self.initial_states(record, windows), start_values(self.parameters)
+
+        def simulate(values: FloatArray) -> FloatArray:
+            return self.simulate(values, record, windows, states)
+
+        if not np.isfinite(simulate(theta)).all():
+            raise RecordingError(
+                f"simulator {self.kind!r}: expected finite outputs along the recording at the starts of its "
+                "parameters, found some that are none; give starts that are nearer, or bounds"
+            )
+        dead = dead_parameters(simulate, theta, [p.name for p in own])
+        self.notes = [_dead_note(name, self.simulator, self.kind) for name in dead]
+        self.fixed |= {p.name: p.starts[0] for p in own if p.name in dead}
+        alive = tuple(p for p in own if p.name not in dead)
+        self._set(alive, self.terms, self.sizes)
+        self.never_seen = confounded(self, alive, record, windows, states)
+        left = {key: term for key, term in self.terms.items() if key not in self.never_seen}
+        self._set(alive, left, self.sizes)
+
+    def with_force(self, force: ExtraForce) -> SimulatorModel:
+        """The same simulator under one more force."""
+        other = copy.copy(self)
+        other._extra = force
+        return other
+
+    def horizon_at(self, theta: FloatArray) -> float:
+        """Scored horizon, s: as stated, or two periods of the measured motion."""
+        return self.horizon
+
+    def prepare(self, record: Record) -> Record:
+        """The record itself."""
+        return record
+
+    def initial_states(self, record: Record, windows: Windows) -> FloatArray:
+        """Straight lines through the first samples of each window, (w, 2); 0 for a place nobody measures."""
+        count = max(4, int(STATE_SPAN / record.period))
+        states = np.zeros((len(windows), 2))
+        for w, (first, last) in enumerate(zip(windows.first, windows.last, strict=True)):
+            stop = min(first + count, last)
+            if stop - first < 2:
+                continue
+            lines = np.polyfit(record.t[first:stop] - record.t[first], record.outputs[first:stop], 1)
+            for column, state in enumerate(self.columns):
+                states[w, state] = lines[1, column]
+                if state == 0 and 1 not in self.columns:
+                    states[w, 1] = lines[0, column]
+        return states
+
+    def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
+        """Measured states, (N, channels)."""
+        found = self._trajectory(theta, record, windows, states)[:, self.columns]
+        found[:, 0] = self._values.sensed(theta, record, windows, found[:, 0])
+        return found
+
+    def coordinates(
+        self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
+    ) -> Mapping[str, FloatArray]:
+        """Position, velocity and input along the simulation."""
+        motion = self._trajectory(theta, record, windows, states)
+        along = {
+            self.state_names[0]: motion[:, 0],
+            self.state_names[1]: motion[:, 1],
+            record.input_names[0]: record.inputs[windows.rows, 0],
+        }
+        return {**along, **self.driven(theta, record, windows, along)}
+
+    def driven(
+        self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
+    ) -> Mapping[str, FloatArray]:
+        """What is left of the input behind the way in."""
+        nodes, values = self._path.nodes(record, 0, lambda name: self._values.of(theta, name))
+        return {"acting_drive": np.interp(record.t[windows.rows], nodes, values)}
+
+    def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
+        """Force on the inertia at these coordinates; zero where it rests."""
+        x, v = (np.ascontiguousarray(coordinates[name]) for name in self.state_names)
+        part, inertia = self._part(theta)
+        return np.asarray(self._kernels.pull(x, v, coordinates["acting_drive"], part) * inertia)
+
+    def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
+        """What starts are fractions of, from this recording."""
+        return yardsticks_of(record, self.sizes.force, self.sizes.speed)
+
+    @cached_property
+    def _kernels(self) -> Kernels:
+        return compiled_of(self.simulator)
+
+    def _own(self, theta: FloatArray) -> Own:
+        """The right-hand side at these values, remembered: most simulations change other parameters."""
+        names = self.simulator.parameters
+        numbers = tuple(self._values.of(theta, name) for name in names) or (0.0,)
+        found = self._remembered.get(numbers)
+        if found is None:
+            if len(self._remembered) >= REMEMBERED:
+                self._remembered.clear()
+            found = self._remembered[numbers] = self._looked_at(numbers)
+        return found
+
+    def _looked_at(self, numbers: tuple[float, ...]) -> Own:
+        _, _, parameters = self.simulator.records
+        p, f = parameters(*numbers), self._kernels.acceleration
+        gain = f(0.0, 0.0, 1.0, p) - f(0.0, 0.0, 0.0, p)
+        inertia_name = self.simulator.coordinate.inertia
+        inertia = dict(zip(self.simulator.parameters, numbers, strict=False)).get(inertia_name)
+        stiff = quick = 0.0
+        for x, v, u in self._places.tolist():
+            here = f(x, v, u, p)
+            stiff = max(stiff, abs(f(x + NUDGE, v, u, p) - here) / NUDGE)
+            quick = max(quick, abs(f(x, v + NUDGE, u, p) - here) / NUDGE)
+        mass = abs(inertia) if inertia is not None else 1.0 / max(abs(gain), 1e-12)
+        return Own(p, gain, mass, stiff, quick)
+
+    def _part(self, theta: FloatArray) -> tuple[tuple[Any, Pushes], float]:
+        """What the kernel takes, and the inertia with what was added to it."""
+        own = self._own(theta)
+        inertia = own.inertia + self._values.of(theta, "added_inertia.inertia")
+
+        def over(name: str) -> float:
+            return self._values.of(theta, name) / inertia
+
+        extra = sliding.Part(
+            over("constant_force.force"), over("spring_force.stiffness"),
+            over("spring_hardening.coefficient"), over("cogging_torque.sine"), over("cogging_torque.cosine"),
+            self._values.of(theta, "cogging_torque.order"), -np.inf, np.inf, 0.0,
+        )  # fmt: skip
+        law = tuple(self._values.friction_law(theta, inertia).tolist())
+        share = own.inertia / inertia
+        load = abs(own.gain) * share
+        return (own.values, Pushes(extra, law, share, load, own.stiff, own.quick)), inertia
+
+    def _trajectory(
+        self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
+    ) -> FloatArray:
+        """Position and velocity of all windows, (N, 2)."""
+        nodes, values = self._path.nodes(record, 0, lambda name: self._values.of(theta, name))
+        out = np.empty((len(windows.rows), 3))
+        begun = np.column_stack([states, np.zeros(len(states))])
+        part, inertia = self._part(theta)
+        given = (record.t, nodes, values, windows.first, windows.last, begun, NO_STOPS)
+        if self._extra is None:
+            self._kernels.run(*given, part, Course(0.0), out)
+        else:
+            beyond, along = self._extra.over(inertia, record)
+            self._kernels.run_pushed(*given, Pushed(part, beyond), PushedCourse(Course(0.0), along), out)
+        return out[:, :2]
+
+
+def _velocity_name(position: str, velocity: str) -> str:
+    """What analyses know to be zero at rest."""
+    return velocity if velocity.endswith("_velocity") else f"{position}_velocity"
+
+
+def _short(record: Record, horizon: float) -> Windows:
+    """A few windows along a record, each of a horizon at most."""
+    rows = max(8, int(horizon / record.period))
+    spans = [
+        (first, min(first + rows, end))
+        for begin, end in record.spans
+        for first in range(begin, end - 8, rows)
+    ]
+    return Windows.of([spans[i] for i in np.unique(np.linspace(0, len(spans) - 1, 8).astype(int))])
+
+
+def _dead_note(name: str, simulator: Simulator, kind: str) -> str:
+    return (
+        f"{name} changes nothing in the simulated {', '.join(simulator.outputs)} of {kind}: its value never "
+        f"reached the simulation. It is left at {simulator.parameters[name].start:g} and not estimated."
+    )

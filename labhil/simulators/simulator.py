@@ -1,0 +1,281 @@
+"""What a user says of a simulator: its right-hand side, its names, and where forces act."""
+
+from __future__ import annotations
+
+import inspect
+from collections import namedtuple
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from labhil.errors import UsageError, suggestion
+from labhil.kinds import Known, RigKind, declare_kind
+from labhil.physics.rigs import RigModel, declare_model
+from labhil.physics.terms import Parameter
+from labhil.rig import RigFile, parse_rig
+from labhil.signals import Direction, Hold, Signal
+from labhil.simulators.probing import is_damped, tried
+
+RightHandSide = Callable[[float, Any, Any, Any], Sequence[float]]
+"""``f(t, x, u, p)`` to the rates of the states; x, u and p have their values by name and by number."""
+
+DECADES = 1e3
+UNDAMPED = ("viscous_friction",)
+"""What a simulator without damping of its own begins with."""
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A parameter of a simulator: where a fit starts, its unit, and what it may be.
+
+    Without bounds a positive start may change by a factor of 1000 both ways and keeps its sign.
+
+    Example:
+        >>> from labhil import Quantity
+        >>> Quantity(0.02, "kg·m²").bounds
+        (2e-05, 20.0)
+    """
+
+    start: float
+    unit: str = "1"
+    lower: float | None = None
+    upper: float | None = None
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """The least and the largest value that a fit may find."""
+        ends = sorted((self.start / DECADES, self.start * DECADES)) if self.start else (-1e6, 1e6)
+        low = ends[0] if self.lower is None else self.lower
+        return low, ends[1] if self.upper is None else self.upper
+
+    def parameter(self, name: str) -> Parameter:
+        """As fits take it."""
+        return Parameter(name, self.unit, abs(self.start) or 1.0, *self.bounds, starts=(self.start,))
+
+
+@dataclass(frozen=True, slots=True)
+class Coordinate:
+    """A place where a generalised force may act: the port for friction, springs and other forces.
+
+    ``velocity`` names the state that is the rate of the coordinate. A force acts like the input ``like``, or
+    is divided by the parameter ``inertia`` and has the unit ``force``.
+
+    Example:
+        >>> from labhil import Coordinate
+        >>> Coordinate("speed", inertia="inertia", force="N·m").velocity
+        'speed'
+    """
+
+    velocity: str
+    like: str = ""
+    inertia: str = ""
+    force: str = ""
+
+
+@dataclass(frozen=True)
+class Simulator:
+    """A simulator as its user describes it; made by :func:`simulator`. Wherever a rig may be named, it may.
+
+    Example:
+        >>> import labhil as lh
+        >>> lag = lh.simulator(
+        ...     lambda t, x, u, p: (x.speed, (u.force - p.drag * x.speed) / p.mass),
+        ...     name="cart",
+        ...     states={"place": "m", "speed": "m/s"},
+        ...     inputs={"force": "N"},
+        ...     parameters={"mass": lh.Quantity(1.0, "kg"), "drag": lh.Quantity(0.1, "N·s/m")},
+        ... )
+        >>> len(lh.model(lag).terms) >= 15
+        True
+    """
+
+    f: RightHandSide
+    name: str
+    states: Mapping[str, str]
+    inputs: Mapping[str, str]
+    outputs: Mapping[str, str]
+    parameters: Mapping[str, Quantity]
+    position: str
+    coordinate: Coordinate
+    horizon: float | None
+
+    @property
+    def kind(self) -> RigKind:
+        """The rig kind that it is: its signals, and what ``[known]`` may say."""
+        signals = {
+            Direction.INPUT: [
+                Signal(n, u, Direction.INPUT, hold=Hold.ZERO, description="of the simulator")
+                for n, u in self.inputs.items()
+            ],
+            Direction.OUTPUT: [
+                Signal(n, u, Direction.OUTPUT, description="of the simulator")
+                for n, u in self.outputs.items()
+            ],
+        }
+        known = {n: Known(q.unit, positive=q.bounds[0] > 0.0) for n, q in self.parameters.items()}
+        return RigKind(
+            self.name,
+            tuple(signals[Direction.INPUT]),
+            (tuple(self.inputs),),
+            tuple(signals[Direction.OUTPUT]),
+            known,
+        )
+
+    @property
+    def rig_file(self) -> RigFile:
+        """A rig file that says nothing but that the rig is this simulator."""
+        return parse_rig(f'[rig]\nkind = "{self.name}"\n', Path(f"{self.name}.toml"))
+
+    @property
+    def force_unit(self) -> str:
+        """Unit of a force at the coordinate."""
+        return self.coordinate.force or self.inputs.get(self.coordinate.like, "")
+
+    @cached_property
+    def records(self) -> tuple[Any, Any, Any]:
+        """What f takes for x, u and p: tuples with names."""
+        return (
+            namedtuple("States", tuple(self.states)),
+            namedtuple("Inputs", tuple(self.inputs)),
+            namedtuple("Parameters", tuple(self.parameters) or ("none",)),
+        )
+
+
+def simulator(
+    f: RightHandSide,
+    *,
+    states: Mapping[str, str],
+    inputs: Mapping[str, str],
+    parameters: Mapping[str, Quantity | float],
+    outputs: Mapping[str, str] | Sequence[str] | None = None,
+    coordinates: Mapping[str, Coordinate] | None = None,
+    name: str = "",
+    horizon: float | None = None,
+) -> Simulator:
+    """Describe a simulator by its right-hand side; the whole catalogue of effects is then there for it.
+
+    The right-hand side is that of one coordinate: a position, its velocity and one input. It has to be
+    smooth: friction, stops of dead zones and the like are what the catalogue adds. numba compiles it.
+
+    Args:
+        f: ``f(t, x, u, p)`` to the rates of the states, in their order. ``x.angle``, ``u.torque`` and
+            ``p.inertia`` are the values by name; by number they are there too.
+        states: Units by name: the position, then its velocity.
+        inputs: Unit by name.
+        parameters: Start, unit and bounds by name.
+        outputs: Which states are measured; the position when absent.
+        coordinates: Where forces act, by the name of the position. Without it a force acts like the input.
+        name: What the rig is called; the name of ``f`` when absent.
+        horizon: Length of the simulated windows by which it is scored, s; taken from the recording when
+            absent.
+
+    Returns:
+        The simulator: :func:`labhil.fit`, :func:`labhil.diagnose`, :func:`labhil.model` and
+        :func:`labhil.recording` take it for a rig.
+
+    Raises:
+        UsageError: What was expected of ``f`` or of the names, and what was found.
+
+    Example:
+        >>> import labhil as lh, math
+        >>> def pendulum(t, x, u, p):
+        ...     return x.rate, (u.torque - p.gravity_torque * math.sin(x.angle)) / p.inertia
+        >>> rig = lh.simulator(
+        ...     pendulum,
+        ...     states={"angle": "rad", "rate": "rad/s"},
+        ...     inputs={"torque": "N·m"},
+        ...     parameters={"inertia": lh.Quantity(0.02, "kg·m²"), "gravity_torque": lh.Quantity(0.5, "N·m")},
+        ... )
+        >>> rig.kind.name
+        'pendulum'
+    """
+    called = name or getattr(f, "__name__", "")
+    if not called.isidentifier():
+        raise UsageError(f"simulator: expected a name of letters, digits and _, found {called!r}")
+    if len(states) != 2 or len(inputs) != 1:
+        raise UsageError(
+            f"simulator {called!r}: expected 2 states (a position and its velocity) and 1 input, found "
+            f"{len(states)} and {len(inputs)}; for others register a RightHandSide, see docs/plugins.md"
+        )
+    position, velocity = states
+    measured = _measured(called, outputs, states)
+    quantities = {n: q if isinstance(q, Quantity) else Quantity(float(q)) for n, q in parameters.items()}
+    _check_quantities(called, quantities, {*states, *inputs})
+    given = dict(coordinates or {position: Coordinate(velocity, like=next(iter(inputs)))})
+    if list(given) != [position] or given[position].velocity != velocity:
+        raise UsageError(
+            f"simulator {called!r}: expected one coordinate, {position!r} with velocity {velocity!r}, found "
+            f"{', '.join(f'{n!r} with {c.velocity!r}' for n, c in given.items())}"
+        )
+    _check_coordinate(called, given[position], inputs, quantities)
+    made = Simulator(
+        f, called, dict(states), dict(inputs), measured, quantities, position, given[position], horizon
+    )
+    tried(made)
+    _declare(made, () if is_damped(made) else UNDAMPED)
+    return made
+
+
+def _declare(made: Simulator, baseline: tuple[str, ...]) -> None:
+    from labhil.simulators.model import SimulatorModel
+
+    def model(rig: RigFile, record: Any = None) -> Any:
+        return SimulatorModel(made, rig, record)
+
+    declare_kind(made.kind)
+    declare_model(made.name, RigModel(model, baseline, (*baseline, "coulomb_friction")))
+
+
+def _measured(
+    called: str, outputs: Mapping[str, str] | Sequence[str] | None, states: Mapping[str, str]
+) -> dict[str, str]:
+    """Units of what is measured, by name of the state."""
+    names = tuple(states)[:1] if outputs is None else tuple(outputs)
+    for each in names:
+        if each not in states:
+            raise UsageError(
+                f"simulator {called!r}: outputs: expected names of states, found {each!r}"
+                f"{suggestion(each, states)}; states: {', '.join(states)}"
+            )
+    if not names:
+        raise UsageError(f"simulator {called!r}: outputs: expected one at least, found none")
+    return {n: states[n] for n in states if n in names}
+
+
+def _check_quantities(called: str, quantities: Mapping[str, Quantity], taken: set[str]) -> None:
+    for name, quantity in quantities.items():
+        low, high = quantity.bounds
+        if name in taken:
+            raise UsageError(f"simulator {called!r}: {name!r} names a parameter and a signal; rename one")
+        if not isfinite(quantity.start) or not low <= quantity.start <= high or not low < high:
+            raise UsageError(
+                f"simulator {called!r}: {name}: expected a start from {low:g} to {high:g}, found "
+                f"{quantity.start:g}"
+            )
+
+
+def _check_coordinate(
+    called: str, coordinate: Coordinate, inputs: Mapping[str, str], quantities: Mapping[str, Quantity]
+) -> None:
+    for what, name, known in (("like", coordinate.like, inputs), ("inertia", coordinate.inertia, quantities)):
+        if name and name not in known:
+            raise UsageError(
+                f"simulator {called!r}: coordinate {what}: unknown name {name!r}{suggestion(name, known)}; "
+                f"known: {', '.join(known)}"
+            )
+    if bool(coordinate.like) == bool(coordinate.inertia):
+        raise UsageError(
+            f"simulator {called!r}: coordinate: expected either `like` (an input that a force acts like) or "
+            "`inertia` (a parameter that divides it)"
+        )
+
+
+def source_of(f: RightHandSide) -> str:
+    """Where a right-hand side stands, for messages."""
+    try:
+        return f"{inspect.getsourcefile(f)}:{inspect.getsourcelines(f)[1]}"
+    except (OSError, TypeError):
+        return getattr(f, "__name__", repr(f))
