@@ -14,10 +14,16 @@ from labhil.documents import DocumentError, parse_toml
 from labhil.errors import ExperimentFileError, UnknownNameError, suggestion
 from labhil.experiment.excitation.fade import faded
 from labhil.experiment.excitation.function import Excitation, Excitations, Seed
-from labhil.experiment.excitation.make import ExcitationKeys, check_keys, make_excitation
+from labhil.experiment.excitation.make import (
+    EXCITATIONS,
+    ExcitationKeys,
+    check_keys,
+    make_excitation,
+)
 from labhil.experiment.excitation.table import Between
 from labhil.experiment.excitation.tones import PhaseRule, Sweep
-from labhil.rig import RigFile, default_rig, explain, load_rig
+from labhil.experiment.sweep import MOST_RUNS, SweepSection
+from labhil.rig import RigFile, default_rig, explain, load_rig, unknown_key
 from labhil.toml_text import to_toml
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -25,6 +31,7 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Numbers = tuple[Finite, ...]
 Natural = Annotated[int, Field(ge=0)]
+Tag = Annotated[str, Field(min_length=1, max_length=100)]
 
 TWIN = "twin"
 """The address that stands for "start the simulated device, and stop it afterwards"."""
@@ -40,11 +47,18 @@ class _Section(BaseModel):
 class ExperimentSection(_Section):
     """``[experiment]``: what this acquisition is called, and the seed of whatever is drawn at random.
 
-    Each step draws from a sequence of its own, begun with this seed and its place in the file.
+    Each step draws from a sequence of its own, begun with this seed and its place in the file. ``operator``,
+    ``sample``, ``notes`` and ``tags`` are free text; they stand in the recording, and ``labhil list`` finds
+    recordings by them. ``repeat`` makes so many recordings of each run.
     """
 
     name: Annotated[str, Field(min_length=1)]
     seed: Natural = 0
+    operator: str = ""
+    sample: str = ""
+    notes: str = ""
+    tags: tuple[Tag, ...] = ()
+    repeat: Annotated[int, Field(ge=1, le=MOST_RUNS)] = 1
 
 
 class TwinSection(_Section):
@@ -97,6 +111,9 @@ class Stabilise(_Section):
     filter: NotNegative = 0.03
 
 
+KEYS_OF_EXCITATIONS = frozenset(field.name for field in fields(ExcitationKeys))
+
+
 class Step(_Section):
     """One of ``[[steps]]``: what one signal of one device does for ``duration`` s of the device's clock.
 
@@ -134,6 +151,25 @@ class Step(_Section):
     between: Between | None = None
     fade: Positive | None = None
     seed: Natural | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _knows_its_keys(cls, data: object) -> object:
+        """Answer a wrong key with those that this excitation takes, not with those of all of them."""
+        if not isinstance(data, Mapping) or data.get("excitation") not in EXCITATIONS:
+            return data
+        name = str(data["excitation"])
+        takes = EXCITATIONS[name].understood()
+        of_any_step = [key for key in cls.model_fields if key not in KEYS_OF_EXCITATIONS]
+        for key in data:
+            if key not in cls.model_fields:
+                near = suggestion(str(key), [*takes, *of_any_step])
+                raise unknown_key(
+                    str(key),
+                    f"unknown key{near}; excitation {name!r} takes: {', '.join(takes)}; "
+                    f"every step takes: {', '.join(of_any_step)}",
+                )
+        return data
 
     @model_validator(mode="after")
     def _can_be_made(self) -> Step:
@@ -242,6 +278,7 @@ class Experiment(WithDevices):
     experiment: ExperimentSection
     steps: tuple[Step, ...]
     record: RecordSection = RecordSection()
+    sweep: SweepSection | None = None
 
     @model_validator(mode="after")
     def _steps_fit(self) -> Experiment:
