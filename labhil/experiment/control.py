@@ -132,8 +132,11 @@ class RunControl:
         """Why the last request could not be carried out; empty when it was, or is still on its way."""
         return self._refusal
 
-    def mark(self, text: str) -> None:
-        """Put a marker into the recording, at this moment; CommandRefusedError where nothing is recorded."""
+    def mark(self, text: str, age_ns: int = 0) -> None:
+        """Put a marker into the recording; CommandRefusedError where nothing is recorded.
+
+        It stands at the moment ``age_ns`` ago: a text takes longer to type than a key to press.
+        """
         text = " ".join(text.split())[:LONGEST_MARK]
         if not text:
             raise CommandRefusedError("a marker needs a text")
@@ -143,7 +146,7 @@ class RunControl:
                     f"a run that is {self._state.value} takes no marker; only one that is "
                     f"{', '.join(state.value for state in RECORDED)}"
                 )
-            self._marks.append((unix_ns(), text))
+            self._marks.append((unix_ns() - max(age_ns, 0), text))
             self.changed.set()
 
     def _want(self, state: RunState, reason: str, participle: str) -> None:
