@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from labhil.documents import DocumentError, parse_toml
 from labhil.errors import ExperimentFileError, UnknownNameError, suggestion
+from labhil.experiment.condition import parse_condition
 from labhil.experiment.excitation.fade import faded
 from labhil.experiment.excitation.function import Excitation, Excitations, Seed
 from labhil.experiment.excitation.make import (
@@ -118,6 +119,8 @@ class Step(_Section):
     """One of ``[[steps]]``: what one signal of one device does for ``duration`` s of the device's clock.
 
     ``at`` is when it starts, s after the run did; without it, when everything before it has ended.
+    ``until`` ends it before that, with the first sample for which the condition holds, such as
+    ``"winding_temperature < 30 and abs(speed) < 0.1"``; what follows then begins earlier.
     ``fade`` lets it grow from ``offset`` (0 without) and die away there again, in so many s at either end.
     """
 
@@ -126,6 +129,7 @@ class Step(_Section):
     excitation: str
     duration: Positive
     at: NotNegative | None = None
+    until: str | None = None
     stabilise: Stabilise | None = None
     frequencies: Numbers | None = None
     amplitude: Finite | Numbers | None = None
@@ -173,6 +177,11 @@ class Step(_Section):
 
     @model_validator(mode="after")
     def _can_be_made(self) -> Step:
+        if self.until is not None:
+            try:
+                parse_condition(self.until)
+            except ValueError as error:
+                raise ValueError(f"until: {error}") from error
         try:
             check_keys(self.excitation, self._keys())
             # a table is read when it is known where the experiment file lies
@@ -290,6 +299,7 @@ class Experiment(WithDevices):
                 near = suggestion(step.device, self.devices)
                 raise ValueError(f"steps.{index}.device: no device {step.device!r}{near}; known: {known}")
         _refuse_overlaps(self.schedule())
+        _refuse_conditions_beside_others(self.schedule(), len(self.devices))
         return self
 
     def schedule(self) -> tuple[TimedStep, ...]:
@@ -351,6 +361,23 @@ def _refuse_overlaps(schedule: tuple[TimedStep, ...]) -> None:
                 raise ValueError(
                     f"steps.{later.index}: {later.step.device}.{later.step.signal} is driven by "
                     f"steps.{earlier.index} at the same time ({later.start:g} s)"
+                )
+
+
+def _refuse_conditions_beside_others(schedule: tuple[TimedStep, ...], devices: int) -> None:
+    """A step that may end early shifts what follows, which cannot be done for what runs beside it."""
+    for timed in schedule:
+        if timed.step.until is None:
+            continue
+        if devices > 1:
+            raise ValueError(
+                f"steps.{timed.index}.until: expected an experiment with one device, found {devices}"
+            )
+        for other in schedule:
+            if other is not timed and other.start < timed.end and timed.start < other.end:
+                raise ValueError(
+                    f"steps.{timed.index}.until: expected a step that runs alone, found steps.{other.index} "
+                    "at the same time"
                 )
 
 

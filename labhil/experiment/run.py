@@ -257,10 +257,14 @@ class _Run:
             self._control.changed.clear()
             self._look_at_requests()
             recorder.check()
+            for text in devices.ended_early():
+                self._publish("step", text)
             devices.look_after()
             self._look_at_latch()
             self._wait_or_go_on(devices)
             self._report("")
+        for text in devices.ended_early():
+            self._publish("step", text)
 
     def _look_at_latch(self) -> None:
         """Hear the emergency stop without any device and without the bus, too."""
