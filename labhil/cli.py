@@ -20,6 +20,7 @@ from labhil.commands.machine import add_machine
 from labhil.commands.pages import link_pages
 from labhil.commands.safety import add_safety
 from labhil.commands.serve import add_serve
+from labhil.commands.start import add_start
 from labhil.commands.studies import add_studies
 from labhil.commands.trials import add_trials
 from labhil.commands.tui import add_tui
@@ -73,6 +74,7 @@ def _labhil(
 
 
 for add in (
+    add_start,
     add_acquisition,
     add_safety,
     add_serve,

@@ -15,6 +15,7 @@ from pydantic import (
     field_validator,
     model_validator,
 )
+from pydantic_core import PydanticCustomError
 
 from labhil.documents import DocumentError, parse_toml
 from labhil.errors import RigFileError, UsageError, suggestion
@@ -361,6 +362,14 @@ def explain(error: ValidationError, path: Path, model: type[BaseModel]) -> str:
 PYDANTIC_BRANCHES = {"str", "int", "float", "list[float]", "constrained-int"}
 
 
+UNKNOWN_KEY = "unknown_key"
+
+
+def unknown_key(key: str, message: str) -> PydanticCustomError:
+    """The error for a validator that knows better than its model which keys belong here."""
+    return PydanticCustomError(UNKNOWN_KEY, "{message}", {"key": key, "message": message})
+
+
 def _complaint(item: Any, model: type[BaseModel]) -> str:
     places = [str(part) for part in item["loc"] if str(part) not in PYDANTIC_BRANCHES]
     field = ".".join(places) or "file"
@@ -370,6 +379,8 @@ def _complaint(item: Any, model: type[BaseModel]) -> str:
     if item["type"] == "missing":
         return f"{field}: this key is missing"
     message = str(item["msg"]).removeprefix("Value error, ")
+    if item["type"] == UNKNOWN_KEY:
+        return f"{'.'.join([*places, str(item['ctx']['key'])])}: {message}"
     if item["type"] == "value_error":
         return f"{field}: {message}" if places else message
     return f"{field}: {message}, found {item['input']!r:.200}"

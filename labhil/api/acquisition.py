@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -17,11 +17,13 @@ from labhil.experiment.bench import Bench
 from labhil.experiment.experiment import DeviceSection, TwinSection, WithDevices, load_experiment
 from labhil.experiment.experiment import Experiment as ExperimentFile
 from labhil.experiment.plan import Plan, device_plan, make_plan
+from labhil.experiment.points import is_campaign, points_of
 from labhil.rig import RigFile, explain
 
 if TYPE_CHECKING:
     from labhil.api.model import Model
     from labhil.api.recording import Recording
+    from labhil.experiment.campaign import CampaignResult
     from labhil.experiment.result import Progress, RunResult
 
 DEVICE = "bench"
@@ -98,6 +100,9 @@ class Experiment:
         devices: Mapping[str, Mapping[str, Any]],
         steps: Sequence[Mapping[str, Any]],
         seed: int = 0,
+        about: Mapping[str, Any] | None = None,
+        repeat: int = 1,
+        sweep: Mapping[str, Any] | None = None,
         record: Mapping[str, Any] | None = None,
         directory: PathLike = ".",
     ) -> None:
@@ -109,6 +114,9 @@ class Experiment:
             steps: ``device``, ``signal``, ``excitation``, ``duration`` and what the excitation needs, one
                 after another.
             seed: Of whatever is drawn at random.
+            about: ``operator``, ``sample``, ``notes`` and ``tags``, which stand in the recording.
+            repeat: How many recordings of each run; see :meth:`run_all`.
+            sweep: ``over``, values by place: ``{"over": {"steps.0.level": [1.0, 2.0]}}``.
             record: ``path``, the name of the recording's file.
             directory: Where relative paths begin.
 
@@ -117,12 +125,14 @@ class Experiment:
         """
         path = path_of(directory, "directory") / "labhil.Experiment"
         data: dict[str, Any] = {
-            "experiment": {"name": name, "seed": seed},
+            "experiment": {**(about or {}), "name": name, "seed": seed, "repeat": repeat},
             "devices": devices,
             "steps": steps,
         }
         if record is not None:
             data["record"] = record
+        if sweep is not None:
+            data["sweep"] = sweep
         try:
             self._file = ExperimentFile.model_validate({**data, "path": path})
         except ValidationError as error:
@@ -155,7 +165,47 @@ class Experiment:
         Raises:
             UsageError: It cannot be run: no such driver or signal, or a step beyond the limits.
         """
-        return self._planned.describe()
+        if not self.is_campaign:
+            return self._planned.describe()
+        points = points_of(self._file)
+        plans = [make_plan(point.experiment) for point in points]
+        seconds = sum(plan.duration for plan in plans)
+        total = f"{len(points)} runs, {seconds:g} s of the devices' clocks in all"
+        runs = [f"  {point.describe()}" for point in points]
+        return "\n".join([total, *runs, "the first of them:", plans[0].describe()])
+
+    @property
+    def is_campaign(self) -> bool:
+        """Whether it asks for several recordings, by ``repeat`` or a sweep: see :meth:`run_all`."""
+        return is_campaign(self._file)
+
+    def run_all(
+        self,
+        out: PathLike = ".",
+        *,
+        progress: RunProgress = None,
+        announce: Callable[[str], None] | None = None,
+        anew: bool = False,
+    ) -> CampaignResult:
+        """Make every run of ``repeat`` and ``[sweep]`` that is not done yet.
+
+        The campaign file in ``out`` says which are done: an interrupted campaign goes on where it was.
+
+        Args:
+            out: The folder for the recordings and the campaign file.
+            progress: As for :meth:`execute`.
+            announce: Is told which run begins.
+            anew: Begin a new campaign where one stands; its recordings stay.
+
+        Returns:
+            ``recordings``, ``path`` of the campaign file, ``exit_status``, ``error``.
+        """
+        from labhil.experiment.campaign import run_campaign
+
+        with _teller(progress) as tell:
+            return run_campaign(
+                self._file, path_of(out, "out"), tell, announce or (lambda _text: None), anew=anew
+            )
 
     def run(self, out: PathLike = ".", *, progress: RunProgress = None) -> Recording:
         """Run it; see :func:`labhil.run`."""
@@ -182,24 +232,33 @@ class Experiment:
         """
         from labhil.experiment.run import run_experiment
 
-        with ExitStack() as stack:
-            if callable(progress):
-                tell = progress
-            elif progress:
-                from labhil.experiment.show import ProgressBar
-
-                tell = stack.enter_context(ProgressBar())
-            else:
-                tell = _nobody
+        with _teller(progress) as tell:
             return run_experiment(self._file, path_of(out, "out"), tell)
 
     def warnings(self) -> tuple[str, ...]:
         """What is doubtful in its steps, a line each."""
-        return self._planned.warnings()
+        if not self.is_campaign:
+            return self._planned.warnings()
+        found = (make_plan(point.experiment).warnings() for point in points_of(self._file))
+        return tuple(dict.fromkeys(warning for warnings in found for warning in warnings))
 
     def __repr__(self) -> str:
         devices = ", ".join(self._file.devices)
         return f"<Experiment {self.name}: {len(self._file.steps)} steps, {self.duration:g} s, on {devices}>"
+
+
+@contextmanager
+def _teller(progress: RunProgress) -> Iterator[Callable[[Progress], None]]:
+    """Give the function that ``progress`` stands for."""
+    if callable(progress):
+        yield progress
+    elif progress:
+        from labhil.experiment.show import ProgressBar
+
+        with ProgressBar() as bar:
+            yield bar
+    else:
+        yield _nobody
 
 
 def _nobody(progress: Progress) -> None:

@@ -76,6 +76,12 @@ class RunRequest(Incoming):
     reason: Text | None = None
 
 
+class MarkRequest(Incoming):
+    """A marker for the recording of a run."""
+
+    text: Text
+
+
 class EventMessage(Incoming):
     """Something that happened at Unix time ``t_ns``; a plain note has a ``text``."""
 

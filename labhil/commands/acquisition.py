@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
@@ -13,6 +13,7 @@ from labhil.errors import UsageError
 from labhil.terminal import complain, show
 
 if TYPE_CHECKING:
+    from labhil.api.acquisition import Experiment
     from labhil.driver import DriverSpec
     from labhil.signals import Signal
 
@@ -155,11 +156,15 @@ def run(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check everything, touch no device.")] = False,
     json_path: JsonOption = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the recording goes.")] = Path(),
+    anew: Annotated[
+        bool, typer.Option("--anew", help="Begin the campaign of a sweep again; its recordings stay.")
+    ] = False,
 ) -> None:
     """Acquire: run the steps of an experiment file and leave one recording.
 
     Its path is the last line of the output. Ctrl+C brings every device to its safe state and leaves a
-    readable recording.
+    readable recording. With `repeat` or [sweep] in the file it leaves one recording for each run, and a
+    campaign file beside them; the same command goes on with a campaign that was interrupted.
     """
     from labhil.api.acquisition import Experiment
 
@@ -169,6 +174,10 @@ def run(
         show(planned.plan())
         return
     tell(planned.warnings())
+    if planned.is_campaign:
+        _run_all(planned, out, json_path, anew=anew)
+    if anew:
+        raise UsageError(f"--anew is for campaigns; {experiment} has neither `repeat` nor [sweep]")
     result = planned.execute(out, progress=True)
     if result.error is not None:
         complain(result.error)
@@ -178,3 +187,18 @@ def run(
     if json_path != STDOUT and result.path is not None:
         show(result.path)
     raise typer.Exit(result.exit_status)
+
+
+def _run_all(planned: Experiment, out: Path, json_path: Path | None, *, anew: bool) -> NoReturn:
+    """Make all runs of a campaign, and end with its exit status."""
+    campaign = planned.run_all(out, progress=True, announce=complain, anew=anew)
+    if campaign.error is not None:
+        complain(campaign.error)
+        left = len(campaign.file.runs) - campaign.done
+        complain(f"{left} of {len(campaign.file.runs)} runs are not done; the same command goes on with them")
+    tell(campaign.warnings)
+    if json_path is not None:
+        write_json(campaign.to_json(), json_path)
+    if json_path != STDOUT:
+        show(*campaign.recordings)
+    raise typer.Exit(campaign.exit_status)

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from labhil.commands.json_flag import JsonFlagCommand, JsonOption
 from labhil.console import deliver, refuse_unwritable, tell
 from labhil.terminal import show, status
 
@@ -23,6 +24,64 @@ def add_files(app: typer.Typer) -> None:
     )
     app.command(epilog="Example: labhil export run.mcap -o run.csv")(export)
     app.command(epilog="Example: labhil recover broken.mcap -o saved.mcap")(recover)
+    app.command(cls=JsonFlagCommand, epilog="Example: labhil info run.mcap")(info)
+    app.command("list", cls=JsonFlagCommand, epilog="Example: labhil list recordings --tag cold --rig axis")(
+        list_
+    )
+
+
+def info(
+    recording: Annotated[Path, typer.Argument(help="A recording (.mcap), also an unfinished .part.")],
+    run: RunOption = None,
+    json_path: JsonOption = None,
+) -> None:
+    """Show what a recording holds: streams, rates, gaps, clocks, events, tags, which rig kinds it fits."""
+    from labhil.recording.contents import contents_in_words, describe_contents
+    from labhil.recording.reader import read_recording
+
+    refuse_unwritable(json_path)
+    found = describe_contents(read_recording(recording, run))
+    deliver(found, json_path, lambda: show(*contents_in_words(found)))
+
+
+def list_(
+    folders: Annotated[
+        list[Path] | None, typer.Argument(help="Where to look, and below (default: here).")
+    ] = None,
+    *,
+    tags: Annotated[
+        list[str] | None, typer.Option("--tag", metavar="TAG", help="Only with this tag; may be repeated.")
+    ] = None,
+    rig: Annotated[str | None, typer.Option(metavar="KIND", help="Only of this kind of rig.")] = None,
+    since: Annotated[
+        str | None, typer.Option(metavar="DATE", help="Only from then on: 2026-05-31, 2026-05-31T14:00.")
+    ] = None,
+    until: Annotated[str | None, typer.Option(metavar="DATE", help="Only from before then.")] = None,
+    text: Annotated[
+        str | None,
+        typer.Option(help="Only with this text in path, notes, operator, sample, tags or markers."),
+    ] = None,
+    json_path: JsonOption = None,
+) -> None:
+    """List recordings and results, the newest first."""
+    from labhil.kinds import kind_named
+    from labhil.recording.listing import Filter, list_folder, list_in_words, parse_moment
+
+    refuse_unwritable(json_path)
+    wanted = Filter(
+        tuple(tags or ()),
+        None if rig is None else kind_named(rig).name,
+        None if since is None else parse_moment(since, "--since"),
+        None if until is None else parse_moment(until, "--until"),
+        text,
+    )
+    with status() as say:
+        say("reading recordings")
+        entries = list_folder(folders or [Path()], wanted)
+    data = {"schema": "labhil.list/1", "files": [entry.to_json() for entry in entries]}
+    if not entries:
+        tell(["nothing found"])
+    deliver(data, json_path, lambda: show(*list_in_words(entries)))
 
 
 def import_(

@@ -21,6 +21,7 @@ def add_safety(app: typer.Typer) -> None:
     """Register these commands."""
     app.command(cls=JsonFlagCommand, epilog="Example: labhil estop --reason 'the ball jumped'")(estop)
     app.command(epilog="Example: labhil control pause --reason 'to look at the ball'")(control)
+    app.command(epilog="Example: labhil mark 'oil added'")(mark)
 
 
 def estop(
@@ -88,3 +89,21 @@ def control(
     payload = {} if reason is None else {"reason": reason}
     with open_bus(find_run(connect, or_lab=action == "status")) as bus:
         write_json(ask(bus, command_key(RUN, action), payload, timeout=5.0, patience=3.0))
+
+
+def mark(
+    text: Annotated[str, typer.Argument(help="What happened, in a few words.")],
+    connect: Connect = None,
+) -> None:
+    """Put a marker into the recording of the run that is up, at this moment.
+
+    It stands there as an event of the kind `mark`; `labhil info` lists it.
+    """
+    from labhil.bus.ask import ask
+    from labhil.bus.keys import RUN, command_key
+    from labhil.bus.register import find_run
+    from labhil.bus.session import open_bus
+
+    with open_bus(find_run(connect)) as bus:
+        answer = ask(bus, command_key(RUN, "mark"), {"text": text}, timeout=5.0, patience=3.0)
+    show(f"marked at {answer['elapsed']:.2f} s of {answer['name']}")

@@ -13,6 +13,7 @@ from enum import StrEnum
 from types import MappingProxyType
 
 from labhil.errors import CommandRefusedError
+from labhil.host_clock import unix_ns
 from labhil.terminal import show
 
 
@@ -59,6 +60,12 @@ TRANSITIONS: Mapping[RunState, Mapping[RunState, str]] = MappingProxyType(
 """From each state, those that may follow, and what leads there."""
 
 
+RECORDED = (RunState.STARTING, RunState.RUNNING, RunState.PAUSED)
+"""The states in which a marker is recorded."""
+LONGEST_MARK = 500
+"""Characters of a marker that are kept."""
+
+
 class RunControl:
     """A handle on one run, for any thread: pause it, resume it, stop it, abort it.
 
@@ -75,6 +82,7 @@ class RunControl:
         self._wanted: RunState | None = None
         self._because = ""
         self._refusal = ""
+        self._marks: list[tuple[int, str]] = []
         self.changed = threading.Event()
         """Set when there is something for the run to look at: a request, or what its devices did."""
 
@@ -125,6 +133,23 @@ class RunControl:
         """Why the last request could not be carried out; empty when it was, or is still on its way."""
         return self._refusal
 
+    def mark(self, text: str, age_ns: int = 0) -> None:
+        """Put a marker into the recording; CommandRefusedError where nothing is recorded.
+
+        It stands at the moment ``age_ns`` ago: a text takes longer to type than a key to press.
+        """
+        text = " ".join(text.split())[:LONGEST_MARK]
+        if not text:
+            raise CommandRefusedError("a marker needs a text")
+        with self._condition:
+            if self._state not in RECORDED:
+                raise CommandRefusedError(
+                    f"a run that is {self._state.value} takes no marker; only one that is "
+                    f"{', '.join(state.value for state in RECORDED)}"
+                )
+            self._marks.append((unix_ns() - max(age_ns, 0), text))
+            self.changed.set()
+
     def _want(self, state: RunState, reason: str, participle: str) -> None:
         with self._condition:
             if state not in TRANSITIONS[self._state]:
@@ -152,6 +177,12 @@ class RunControl:
         with self._condition:
             wanted, self._wanted = self._wanted, None
             return None if wanted is None else (wanted, self._because)
+
+    def take_marks(self) -> list[tuple[int, str]]:
+        """Return the markers that were set since, each with its Unix time in ns. For the run."""
+        with self._condition:
+            marks, self._marks = self._marks, []
+            return marks
 
     def refuse(self, reason: str) -> None:
         """Say that the last request could not be carried out. For the run."""

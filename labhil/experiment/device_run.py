@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from types import TracebackType
 from typing import Self
@@ -30,6 +31,7 @@ from labhil.errors import (
     RunStoppedError,
 )
 from labhil.experiment.approach import Approach, Waypoints
+from labhil.experiment.condition import parse_condition
 from labhil.experiment.controller import Controller
 from labhil.experiment.plan import DevicePlan
 from labhil.host_clock import unix_ns
@@ -86,6 +88,14 @@ class DeviceRun:
         self._controller = Controller(plan.steps, device.stream, device.safe)
         self._approach = Approach(plan.spec, device.stream)
         self._waypoints = Waypoints(plan.spec.waypoint_rate)
+        self.ended_early: deque[str] = deque()
+        """Which steps ended before their time and why, until the run has said so."""
+        columns = device.stream.columns()
+        self._conditions = [
+            (timed, parse_condition(timed.step.until).over(columns))
+            for timed in plan.steps
+            if timed.step.until is not None
+        ]
         self._started_at_ns: int | None = None
         self._since_ns = 0
         self._resting = False
@@ -202,6 +212,7 @@ class DeviceRun:
                     self._put(requested, t_ns)
             t_hw_ns = t_ns
             self.elapsed = (t_ns - self._started_at_ns) * 1e-9
+            self._end_early(values)
             requested = self._controller.requested(self.elapsed, values)
         if self.done:
             self._running = False
@@ -209,6 +220,18 @@ class DeviceRun:
         elif self._waypoints.is_due(int(batch.t_hw_ns[-1])):
             timed = t_hw_ns if self._waypoints.rate else None
             self._put(requested, timed)
+
+    def _end_early(self, values: Sequence[float]) -> None:
+        """Go to the end of a step whose condition holds: its clock is moved on by what is left of it."""
+        assert self._started_at_ns is not None
+        for timed, holds in self._conditions:
+            if timed.start <= self.elapsed < timed.end and holds(values):
+                text = f"steps.{timed.index} ended at {self.elapsed - timed.start:.3f} s: {timed.step.until}"
+                self._started_at_ns -= round((timed.end - self.elapsed) * 1e9)
+                self.elapsed = timed.end
+                self._controller.forget()
+                self.ended_early.append(text)
+                self._changed.set()
 
     def _put(self, requested: Mapping[str, float], t_hw_ns: int | None) -> None:
         setpoint = Setpoint(self._token, unix_ns(), dict(requested), t_hw_ns)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from functools import partial
@@ -85,6 +85,12 @@ class Devices:
             patience = ENDING if run.ends else SILENCE
             if not run.comes_back and time.monotonic() - run.heard_at > patience:
                 raise BusError(f"{run.plan.name}: no samples on the bus for {patience:g} s")
+
+    def ended_early(self) -> Iterator[str]:
+        """Yield which steps ended before their time, each once."""
+        for run in self.runs:
+            while run.ended_early:
+                yield f"{run.plan.name}: {run.ended_early.popleft()}"
 
     def rest(self) -> str:
         """Why the run has to wait for one of its devices; empty when it does not."""

@@ -12,12 +12,19 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from labhil.documents import DocumentError, parse_toml
 from labhil.errors import ExperimentFileError, UnknownNameError, suggestion
+from labhil.experiment.condition import parse_condition
 from labhil.experiment.excitation.fade import faded
 from labhil.experiment.excitation.function import Excitation, Excitations, Seed
-from labhil.experiment.excitation.make import ExcitationKeys, check_keys, make_excitation
+from labhil.experiment.excitation.make import (
+    EXCITATIONS,
+    ExcitationKeys,
+    check_keys,
+    make_excitation,
+)
 from labhil.experiment.excitation.table import Between
 from labhil.experiment.excitation.tones import PhaseRule, Sweep
-from labhil.rig import RigFile, default_rig, explain, load_rig
+from labhil.experiment.sweep import MOST_RUNS, SweepSection
+from labhil.rig import RigFile, default_rig, explain, load_rig, unknown_key
 from labhil.toml_text import to_toml
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -25,6 +32,7 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Numbers = tuple[Finite, ...]
 Natural = Annotated[int, Field(ge=0)]
+Tag = Annotated[str, Field(min_length=1, max_length=100)]
 
 TWIN = "twin"
 """The address that stands for "start the simulated device, and stop it afterwards"."""
@@ -40,11 +48,18 @@ class _Section(BaseModel):
 class ExperimentSection(_Section):
     """``[experiment]``: what this acquisition is called, and the seed of whatever is drawn at random.
 
-    Each step draws from a sequence of its own, begun with this seed and its place in the file.
+    Each step draws from a sequence of its own, begun with this seed and its place in the file. ``operator``,
+    ``sample``, ``notes`` and ``tags`` are free text; they stand in the recording, and ``labhil list`` finds
+    recordings by them. ``repeat`` makes so many recordings of each run.
     """
 
     name: Annotated[str, Field(min_length=1)]
     seed: Natural = 0
+    operator: str = ""
+    sample: str = ""
+    notes: str = ""
+    tags: tuple[Tag, ...] = ()
+    repeat: Annotated[int, Field(ge=1, le=MOST_RUNS)] = 1
 
 
 class TwinSection(_Section):
@@ -97,10 +112,15 @@ class Stabilise(_Section):
     filter: NotNegative = 0.03
 
 
+KEYS_OF_EXCITATIONS = frozenset(field.name for field in fields(ExcitationKeys))
+
+
 class Step(_Section):
     """One of ``[[steps]]``: what one signal of one device does for ``duration`` s of the device's clock.
 
     ``at`` is when it starts, s after the run did; without it, when everything before it has ended.
+    ``until`` ends it before that, with the first sample for which the condition holds, such as
+    ``"winding_temperature < 30 and abs(speed) < 0.1"``; what follows then begins earlier.
     ``fade`` lets it grow from ``offset`` (0 without) and die away there again, in so many s at either end.
     """
 
@@ -109,6 +129,7 @@ class Step(_Section):
     excitation: str
     duration: Positive
     at: NotNegative | None = None
+    until: str | None = None
     stabilise: Stabilise | None = None
     frequencies: Numbers | None = None
     amplitude: Finite | Numbers | None = None
@@ -135,8 +156,32 @@ class Step(_Section):
     fade: Positive | None = None
     seed: Natural | None = None
 
+    @model_validator(mode="before")
+    @classmethod
+    def _knows_its_keys(cls, data: object) -> object:
+        """Answer a wrong key with those that this excitation takes, not with those of all of them."""
+        if not isinstance(data, Mapping) or data.get("excitation") not in EXCITATIONS:
+            return data
+        name = str(data["excitation"])
+        takes = EXCITATIONS[name].understood()
+        of_any_step = [key for key in cls.model_fields if key not in KEYS_OF_EXCITATIONS]
+        for key in data:
+            if key not in cls.model_fields:
+                near = suggestion(str(key), [*takes, *of_any_step])
+                raise unknown_key(
+                    str(key),
+                    f"unknown key{near}; excitation {name!r} takes: {', '.join(takes)}; "
+                    f"every step takes: {', '.join(of_any_step)}",
+                )
+        return data
+
     @model_validator(mode="after")
     def _can_be_made(self) -> Step:
+        if self.until is not None:
+            try:
+                parse_condition(self.until)
+            except ValueError as error:
+                raise ValueError(f"until: {error}") from error
         try:
             check_keys(self.excitation, self._keys())
             # a table is read when it is known where the experiment file lies
@@ -242,6 +287,7 @@ class Experiment(WithDevices):
     experiment: ExperimentSection
     steps: tuple[Step, ...]
     record: RecordSection = RecordSection()
+    sweep: SweepSection | None = None
 
     @model_validator(mode="after")
     def _steps_fit(self) -> Experiment:
@@ -253,6 +299,7 @@ class Experiment(WithDevices):
                 near = suggestion(step.device, self.devices)
                 raise ValueError(f"steps.{index}.device: no device {step.device!r}{near}; known: {known}")
         _refuse_overlaps(self.schedule())
+        _refuse_conditions_beside_others(self.schedule(), len(self.devices))
         return self
 
     def schedule(self) -> tuple[TimedStep, ...]:
@@ -314,6 +361,23 @@ def _refuse_overlaps(schedule: tuple[TimedStep, ...]) -> None:
                 raise ValueError(
                     f"steps.{later.index}: {later.step.device}.{later.step.signal} is driven by "
                     f"steps.{earlier.index} at the same time ({later.start:g} s)"
+                )
+
+
+def _refuse_conditions_beside_others(schedule: tuple[TimedStep, ...], devices: int) -> None:
+    """A step that may end early shifts what follows, which cannot be done for what runs beside it."""
+    for timed in schedule:
+        if timed.step.until is None:
+            continue
+        if devices > 1:
+            raise ValueError(
+                f"steps.{timed.index}.until: expected an experiment with one device, found {devices}"
+            )
+        for other in schedule:
+            if other is not timed and other.start < timed.end and timed.start < other.end:
+                raise ValueError(
+                    f"steps.{timed.index}.until: expected a step that runs alone, found steps.{other.index} "
+                    "at the same time"
                 )
 
 

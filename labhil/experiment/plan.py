@@ -11,6 +11,7 @@ import numpy as np
 
 from labhil.driver import DriverSpec
 from labhil.errors import ExperimentFileError, UnknownNameError
+from labhil.experiment.condition import parse_condition
 from labhil.experiment.continuity import refuse_jumps
 from labhil.experiment.excitation.function import columns_of, sampled
 from labhil.experiment.excitation.spectrum import Spectrum, spectrum_of
@@ -135,6 +136,8 @@ def _step_plan(path: Path, timed: TimedStep, device: DevicePlan) -> StepPlan:
         raise ExperimentFileError(
             f"{place}.stabilise.on: {UnknownNameError('signal', step.stabilise.on, names)}"
         )
+    if step.until is not None:
+        _check_condition(place, step.until, device.spec)
     rate, command = device.spec.stream.rate, commands[step.signal]
     values = _values(place, timed, command, rate)
     safe = _safe_values(device.spec, command, values)
@@ -152,6 +155,16 @@ def _step_plan(path: Path, timed: TimedStep, device: DevicePlan) -> StepPlan:
             f"ends an output after {device.spec.longest_output:g} s, and the run ends with it",
         )
     return StepPlan(timed, command.unit, *reach, spectrum_of(values, rate), warnings)
+
+
+def _check_condition(place: str, text: str, spec: DriverSpec) -> None:
+    """Refuse a condition on signals that are not there, and one that would cut a path short."""
+    try:
+        parse_condition(text).over(spec.stream.columns())
+    except UnknownNameError as error:
+        raise ExperimentFileError(f"{place}.until: {error}") from error
+    if spec.waypoint_rate:
+        raise ExperimentFileError(f"{place}.until: {spec.name} follows paths, which cannot be cut short")
 
 
 def _commanded(spec: DriverSpec) -> Iterator[Signal]:
@@ -255,6 +268,8 @@ def _step_in_words(step: StepPlan) -> str:
         f"{step.lowest:.4g} to {step.highest:.4g} {step.unit}, up to {step.fastest:.4g} {step.unit}/s, "
         f"crest factor {step.spectrum.crest_factor:.2f}, RMS {step.spectrum.rms:.4g} {step.unit}"
     )
+    if asked.until is not None:
+        words = f"{words}; ends early once {asked.until}"
     if asked.stabilise is None:
         return words
     return f"{words}; kp {asked.stabilise.kp:g}, kd {asked.stabilise.kd:g} on {asked.stabilise.on}"

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
-from labhil.bus.ask import Handler, serve
+from labhil.bus.ask import serve
 from labhil.bus.authentication import Refusals
-from labhil.bus.incoming import AnyRequest, RunRequest, parse
+from labhil.bus.incoming import AnyRequest, Incoming, MarkRequest, RunRequest, parse
 from labhil.bus.keys import RUN, command_key
 from labhil.bus.session import Bus
 from labhil.errors import CommandRefusedError
@@ -21,6 +21,7 @@ ANSWER_WITHIN = 1.5
 LONGEST_REASON = 200
 """Characters of a reason that are kept."""
 
+Form = TypeVar("Form", bound=Incoming)
 Describe = Callable[[], Mapping[str, Any]]
 
 
@@ -28,12 +29,12 @@ Describe = Callable[[], Mapping[str, Any]]
 def offer_control(
     bus: Bus, control: RunControl, describe: Describe, refusals: Refusals | None = None
 ) -> Iterator[None]:
-    """Answer on ``lab/@run/cmd/{status,pause,resume,stop,abort}`` as long as the context lasts.
+    """Answer on ``lab/@run/cmd/{status,pause,resume,stop,abort,mark}`` as long as the context lasts.
 
     Each answers with ``{"state", "reason", …}`` and what ``describe`` adds, once the run has done what was
     asked, or after ``ANSWER_WITHIN`` s as things stand then. ``pause``, ``stop`` and ``abort`` take a
-    ``reason``. What the run's state does not allow, or the run refuses, is answered as refused; so is all
-    but ``status`` where it is not signed with the session's key.
+    ``reason``, ``mark`` a ``text``. What the run's state does not allow, or the run refuses, is answered as
+    refused; so is all but ``status`` where it is not signed with the session's key.
     """
     end = (RunState.STOPPING, RunState.ABORTING, RunState.FINISHED, RunState.FAILED)
     requests: dict[str, tuple[Callable[[str], None], tuple[RunState, ...]]] = {
@@ -46,7 +47,7 @@ def offer_control(
     def status() -> dict[str, Any]:
         return {"state": control.state.value, "reason": control.reason, **describe()}
 
-    def handler(name: str) -> Handler:
+    def handler(name: str) -> Callable[[RunRequest], dict[str, Any]]:
         request, awaited = requests[name]
 
         def handle(asked: RunRequest) -> dict[str, Any]:
@@ -58,22 +59,33 @@ def offer_control(
 
         return handle
 
+    def mark(asked: MarkRequest) -> dict[str, Any]:
+        control.mark(asked.text)
+        return status()
+
     refusals = refusals or Refusals()
     with ExitStack() as stack:
         offer_status(bus, status, stack)
         for name in requests:
-            reader = partial(parse, RunRequest, what=name)
-            stack.enter_context(
-                serve(
-                    bus,
-                    command_key(RUN, name),
-                    handler(name),
-                    reader=reader,
-                    guarded=lambda _asked: True,
-                    refusals=refusals,
-                )
-            )
+            _offer(bus, name, RunRequest, handler(name), refusals, stack)
+        _offer(bus, "mark", MarkRequest, mark, refusals, stack)
         yield
+
+
+def _offer(
+    bus: Bus,
+    name: str,
+    form: type[Form],
+    handle: Callable[[Form], dict[str, Any]],
+    refusals: Refusals,
+    stack: ExitStack,
+) -> None:
+    """Answer on ``lab/@run/cmd/<name>`` those who hold the session's key, until ``stack`` is closed."""
+    reader = partial(parse, form, what=name)
+    key = command_key(RUN, name)
+    stack.enter_context(
+        serve(bus, key, handle, reader=reader, guarded=lambda _asked: True, refusals=refusals)
+    )
 
 
 def offer_status(bus: Bus, status: Callable[[], Mapping[str, Any]], stack: ExitStack) -> None:

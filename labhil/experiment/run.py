@@ -7,11 +7,13 @@ the simulated devices are stopped.
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from labhil.bus.authentication import Refusals
@@ -32,6 +34,7 @@ from labhil.experiment.devices import Devices, at_once, host_config
 from labhil.experiment.experiment import TWIN, Experiment
 from labhil.experiment.interruption import Interruption
 from labhil.experiment.plan import DevicePlan, Plan, make_plan
+from labhil.experiment.points import is_campaign
 from labhil.experiment.remote import offer_control
 from labhil.experiment.result import Progress, RunResult, answer_path, recording_path, result_of
 from labhil.experiment.twins import start_twin
@@ -67,8 +70,15 @@ def run_experiment(
     out_dir: Path,
     progress: Callable[[Progress], None] = lambda _progress: None,
     control: RunControl | None = None,
+    *,
+    path: Path | None = None,
+    metadata: Mapping[str, Mapping[str, str]] = MappingProxyType({}),
 ) -> RunResult:
     """Run ``experiment`` and leave its recording in ``out_dir``, whatever happens on the way.
+
+    It is one run. What ``repeat`` and ``[sweep]`` ask for is made by
+    :func:`labhil.experiment.campaign.run_campaign`, which names the recording (``path``) and says which of
+    its runs this is (``metadata``).
 
     ``control`` is a handle of one's own, to pause, stop or abort this run from another thread; other
     processes do it over the bus, see :mod:`labhil.experiment.remote`. ``progress`` is told every change of
@@ -82,6 +92,10 @@ def run_experiment(
     control = RunControl() if control is None else control
     if control.state is not RunState.IDLE:
         raise UsageError(f"a RunControl serves one run; this one's is {control.state.value}: make another")
+    if is_campaign(experiment):
+        raise UsageError(
+            f"{experiment.path}: expected one run, found `repeat` or [sweep]: `labhil run` makes all of them"
+        )
     plan = make_plan(experiment)
     standing = read_latch()
     if standing is not None:
@@ -91,7 +105,8 @@ def run_experiment(
     except OSError as error:
         raise UsageError(f"{out_dir}: expected a directory for the recording, found {error}") from error
     with session_clock(), Interruption() as interrupted:
-        return _Run(plan, recording_path(experiment, out_dir), progress, interrupted, control).run()
+        path = recording_path(experiment, out_dir) if path is None else path
+        return _Run(plan, path, progress, interrupted, control, metadata).run()
 
 
 class _Run:
@@ -102,8 +117,10 @@ class _Run:
         progress: Callable[[Progress], None],
         interrupted: Interruption,
         control: RunControl,
+        metadata: Mapping[str, Mapping[str, str]],
     ) -> None:
         self._plan, self._path, self._progress = plan, path, progress
+        self._more_metadata = metadata
         self._interrupted, self._control = interrupted, control
         self._bus: Bus | None = None
         self._devices: Devices | None = None
@@ -225,7 +242,12 @@ class _Run:
 
     def _metadata(self) -> dict[str, dict[str, str]]:
         section = self._plan.experiment.experiment
-        return {"experiment": {"name": section.name, "duration": repr(self._plan.duration)}}
+        told = {"name": section.name, "duration": repr(self._plan.duration)}
+        free = {"operator": section.operator, "sample": section.sample, "notes": section.notes}
+        told |= {key: text for key, text in free.items() if text}
+        if section.tags:
+            told["tags"] = json.dumps(section.tags, ensure_ascii=False)
+        return {"experiment": told, **{name: dict(more) for name, more in self._more_metadata.items()}}
 
     # running
 
@@ -235,10 +257,14 @@ class _Run:
             self._control.changed.clear()
             self._look_at_requests()
             recorder.check()
+            for text in devices.ended_early():
+                self._publish("step", text)
             devices.look_after()
             self._look_at_latch()
             self._wait_or_go_on(devices)
             self._report("")
+        for text in devices.ended_early():
+            self._publish("step", text)
 
     def _look_at_latch(self) -> None:
         """Hear the emergency stop without any device and without the bus, too."""
@@ -251,6 +277,8 @@ class _Run:
 
     def _look_at_requests(self) -> None:
         """Do what was asked for; raises _Enough or RunStoppedError where that is to end."""
+        for t_ns, text in self._control.take_marks():
+            self._publish("mark", text, t_ns)
         if self._interrupted():
             raise RunStoppedError(f"stopped by {self._interrupted.reason}")
         wanted, reason = self._control.take_request() or (None, "")
@@ -322,10 +350,15 @@ class _Run:
         self._publish(state.value, reason)
         self._report(reason)
 
-    def _publish(self, kind: str, message: str) -> None:
+    def _publish(self, kind: str, message: str, t_ns: int | None = None) -> None:
         if self._bus is not None:
             state = self._control.state.value
-            event = {"t_ns": unix_ns(), "kind": kind, "state": state, "message": message}
+            event = {
+                "t_ns": unix_ns() if t_ns is None else t_ns,
+                "kind": kind,
+                "state": state,
+                "message": message,
+            }
             # a bus that is closed must not hide why the run ends
             with suppress(BusError):
                 publish_event(self._bus, "run", event)

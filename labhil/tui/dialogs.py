@@ -9,7 +9,7 @@ from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical
 from textual.screen import ModalScreen
-from textual.widgets import Button, OptionList, Static
+from textual.widgets import Button, Input, OptionList, Static
 from textual.widgets.option_list import Option
 
 
@@ -68,6 +68,32 @@ class Choose(ModalScreen[str | None]):
 
     def action_leave(self) -> None:
         """None of them."""
+        self.dismiss(None)
+
+
+class Write(ModalScreen[str | None]):
+    """A line of text to write, or none."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("escape", "leave", "Cancel", id="write.cancel")]
+
+    def __init__(self, title: str, most: int) -> None:
+        super().__init__()
+        self._title, self._most = title, most
+
+    def compose(self) -> ComposeResult:
+        """The line."""
+        with Vertical(classes="dialog"):
+            yield Static(self._title, markup=False)
+            yield Input(max_length=self._most)
+            yield Static("Enter records it, Escape leaves", classes="dialog-note")
+
+    def on_input_submitted(self, event: Input.Submitted) -> None:
+        """This text; an empty one is none."""
+        event.stop()
+        self.dismiss(event.value.strip() or None)
+
+    def action_leave(self) -> None:
+        """No text."""
         self.dismiss(None)
 
 

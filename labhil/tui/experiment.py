@@ -16,8 +16,11 @@ from textual.widgets.button import ButtonVariant
 from textual.widgets.option_list import Option
 
 from labhil.errors import LabhilError
+from labhil.experiment.control import LONGEST_MARK, RECORDED
 from labhil.experiment.experiment import TWIN, load_experiment
 from labhil.experiment.plan import Plan, make_plan
+from labhil.host_clock import steady_ns
+from labhil.tui.dialogs import Write
 from labhil.tui.lab import Lab
 from labhil.tui.messages import StartWanted
 from labhil.tui.runner import Runner
@@ -40,6 +43,9 @@ ALLOWED = {
 }
 """In which states of a run each of them makes sense."""
 
+MARKED = tuple(state.value for state in RECORDED)
+"""In which states of a run a marker is recorded."""
+
 MOST_LINES = 200
 """Of the log; all that happens stands in the recording."""
 
@@ -52,6 +58,7 @@ class ExperimentPane(Vertical):
         Binding("r", "control('resume')", "Resume", id="run.resume", tooltip="Go on where it was paused"),
         Binding("s", "control('stop')", "Stop", id="run.stop", tooltip="End now; what is recorded is kept"),
         Binding("a", "control('abort')", "Abort", id="run.abort", tooltip="End now; marked as failed"),
+        Binding("m", "mark", "Mark", id="run.mark", tooltip="A marker at this moment of the recording"),
     ]
 
     def __init__(self, folder: Path, runner: Runner, lab: Lab) -> None:
@@ -127,10 +134,24 @@ class ExperimentPane(Vertical):
         elif self.plan is not None:
             self.post_message(StartWanted(str(self.plan.experiment.path)))
 
+    def action_mark(self) -> None:
+        """Ask for a marker's text; it stands in the recording at the moment of the key."""
+        if self._runner.state not in MARKED:
+            return
+        pressed_ns = steady_ns()
+
+        def mark(text: str | None) -> None:
+            if text is not None:
+                self._runner.mark(text, pressed_ns)
+
+        self.app.push_screen(Write("What happened at this moment?", LONGEST_MARK), mark)
+
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Only keys that do something now are shown."""
         if action == "control":
             return self._runner.state in ALLOWED[str(parameters[0])]
+        if action == "mark":
+            return self._runner.state in MARKED
         return True
 
     def moves_hardware(self) -> list[str]:

@@ -49,6 +49,11 @@ class Runner:
         if self._helper is not None:
             self._helper.tell({"do": what, "reason": reason or f"{what} in the terminal UI"})
 
+    def mark(self, text: str, at_ns: int) -> None:
+        """Put a marker into the recording of the run, at ``at_ns`` of the machine's steady clock."""
+        if self._helper is not None:
+            self._helper.tell({"do": "mark", "text": text, "steady_ns": at_ns})
+
     def take(self, line: dict[str, Any]) -> None:
         """Follow what the run says; the last words of the one before are not this one's."""
         if line["number"] != self._number:

@@ -1,9 +1,10 @@
 """A run in a process of its own: what the screen draws can neither delay nor end it by accident.
 
 ``python -m labhil.tui.running`` is told ``{"experiment": path, "out": folder}`` first, then ``{"do":
-"pause" | "resume" | "stop" | "abort", "reason": …}``. It says its progress ten times a second, what it
-refuses, and at the end its result. When its standard input ends without a word before, whoever started the
-run has crashed or was killed: the run is aborted, devices safe, recording complete, exit status 1.
+"pause" | "resume" | "stop" | "abort", "reason": …}``, or ``{"do": "mark", "text": …, "steady_ns": …}`` with
+the moment by the machine's steady clock. It says its progress ten times a second, what it refuses, and at
+the end its result. When its standard input ends without a word before, whoever started the run has crashed
+or was killed: the run is aborted, devices safe, recording complete, exit status 1.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from labhil.experiment.control import RunControl
 from labhil.experiment.experiment import load_experiment
 from labhil.experiment.result import Progress
 from labhil.experiment.run import run_experiment
+from labhil.host_clock import steady_ns
 
 GONE = "the terminal UI that started the run is gone"
 
@@ -35,6 +37,8 @@ def obey(control: RunControl, line: dict[str, Any]) -> None:
                 control.stop(reason)
             case "abort":
                 control.abort(reason)
+            case "mark":
+                control.mark(str(line["text"]), steady_ns() - int(line["steady_ns"]))
     except CommandRefusedError as error:
         say({"refused": str(error)})
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -99,6 +101,26 @@ def held(tmp_path: Path) -> Any:
         if run.thread.is_alive():
             run.control.abort("the test is over")
             run.thread.join(PATIENCE)
+
+
+def test_a_marker_stands_in_the_recording_at_its_moment(held: Callable[[float], Held]) -> None:
+    run = held(20.0)
+    run.wait_for(RunState.RUNNING, elapsed=2.0)
+    with pytest.raises(CommandRefusedError, match="needs a text"):
+        run.control.mark(" \n ")
+    run.control.mark("oil added\nby hand")
+    command = [sys.executable, "-P", "-m", "labhil", "mark", "the lamp went out"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("marked at ")
+    assert done.stdout.endswith(" s of held\n")
+    run.control.stop()
+    _, recording = run.finish()
+    marks = [event for event in recording.events if event.body.get("kind") == "mark"]
+    assert [event.body["message"] for event in marks] == ["oil added by hand", "the lamp went out"]
+    assert 0.0 < marks[0].t < marks[1].t < recording.duration
+    with pytest.raises(CommandRefusedError, match="a run that is finished takes no marker"):
+        run.control.mark("too late")
 
 
 def test_a_pause_makes_safe_and_the_steps_go_on_where_they_were(held: Callable[[float], Held]) -> None:

@@ -20,7 +20,7 @@ from labhil.bus.latch import read_latch
 from labhil.bus.register import running
 from labhil.recording.reader import Recording, read_recording
 from labhil.tui.app import LabApp
-from labhil.tui.dialogs import Confirm
+from labhil.tui.dialogs import Confirm, Write
 from labhil.tui.lab import Lab
 
 PATIENCE = 100.0
@@ -86,8 +86,14 @@ def test_two_keys_start_the_first_experiment_which_can_be_paused_resumed_and_sto
                 await pilot.press("3", "enter")
                 await in_state(pilot, app, "running")
                 await until(pilot, lambda: [view.holder for _, view in lab.devices()] == ["run pilot"])
+                await pilot.press("m")
+                await until(pilot, lambda: isinstance(app.screen, Write))
+                await pilot.press(*"oil [red]", "enter")
                 await pilot.press("p")
                 await in_state(pilot, app, "paused")
+                await pilot.press("m")
+                await until(pilot, lambda: isinstance(app.screen, Write))
+                await pilot.press("x", "escape")
                 await pilot.press("r")
                 await in_state(pilot, app, "running")
                 await pilot.press("s")
@@ -100,6 +106,8 @@ def test_two_keys_start_the_first_experiment_which_can_be_paused_resumed_and_sto
     assert recording.complete
     assert recording.metadata["end"]["exit_status"] == "0"
     told = kinds(recording, "run")
+    marks = [event.body["message"] for event in recording.events if event.body.get("kind") == "mark"]
+    assert marks == ["oil [red]"]
     assert [kind for kind in told if kind in ("paused", "stopping", "finished")] == [
         "paused",
         "stopping",

@@ -59,6 +59,7 @@ def _steps(
     high: float | None = None,
     count: int | None = None,
 ) -> Steps:
+    """Return ``levels`` held for ``dwell`` s each, or ``count`` of them from ``low`` to ``high`` and back."""
     if levels is not None and low is None and high is None and count is None:
         return steps(levels, dwell)
     if levels is None and low is not None and high is not None and count is not None:

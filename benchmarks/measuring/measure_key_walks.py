@@ -1,0 +1,68 @@
+"""Random walks over the keys of the terminal UI. A command, no test:
+
+    PYTHONPATH=benchmarks python benchmarks/measuring/measure_key_walks.py --walks 500 -o FILE.json
+
+Each walk opens the screen over a folder with whole and broken files and presses random keys: mostly those
+that are bound where it is. ``enter`` starts no experiment: tests of the screen do that.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import os
+import tempfile
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+
+from labhil.tui.lab import Lab
+from labhil_benchmarks.key_walks import Walk, fill, walk
+from measured import tell
+
+ROOT = Path(__file__).parents[2]
+
+
+def main() -> None:
+    """Walk, and write what came of it."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--walks", type=int, default=500)
+    parser.add_argument("--length", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0, help="Seed of the first walk.")
+    parser.add_argument("--processes", type=int, default=4, help="They wait for the screen most of the time.")
+    parser.add_argument("-o", "--out", type=Path, required=True)
+    chosen = parser.parse_args()
+    began = time.monotonic()
+    seeds = range(chosen.first, chosen.first + chosen.walks)
+    shares = [list(seeds[start :: chosen.processes]) for start in range(chosen.processes)]
+    with ProcessPoolExecutor(chosen.processes, get_context("spawn")) as pool:
+        done = pool.map(partial(walk_all, length=chosen.length), shares)
+        walks = [one for share in done for one in share]
+    crashed = [asdict(one) for one in walks if one.crash]
+    told = {
+        "walks": len(walks),
+        "keys": sum(len(one.keys) for one in walks),
+        "crashes": len(crashed),
+        "crashed": crashed,
+        "seconds": round(time.monotonic() - began, 1),
+    }
+    tell(told, chosen.out)
+
+
+def walk_all(seeds: list[int], length: int) -> list[Walk]:
+    """Make these walks in a folder and a lab of their own."""
+    with tempfile.TemporaryDirectory() as place:
+        # an emergency stop that is pressed here stops nothing elsewhere
+        os.environ["XDG_RUNTIME_DIR"] = place
+        recordings = sorted((ROOT / "recordings").glob("*.mcap"))[:2]
+        results = sorted((ROOT / "tests" / "tui" / "results").iterdir())
+        folder = fill(Path(place) / "bench", recordings, results)
+        with Lab() as lab:
+            return [asyncio.run(walk(folder, lab, seed, length)) for seed in seeds]
+
+
+if __name__ == "__main__":
+    main()

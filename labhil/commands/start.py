@@ -1,0 +1,62 @@
+"""The command for a first experiment: ``labhil new``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from labhil.console import tell
+from labhil.errors import UsageError
+from labhil.terminal import complain, show
+
+
+def add_start(app: typer.Typer) -> None:
+    """Register this command."""
+    app.command(epilog="Example: labhil new dc_motor --address /dev/ttyACM0 --out bench")(new)
+
+
+def new(
+    kind: Annotated[
+        str | None, typer.Argument(help="A driver of `labhil devices`; asked for if absent.")
+    ] = None,
+    address: Annotated[
+        str | None,
+        typer.Option(help="twin, /dev/ttyACM0, socket://host:port, an IP address; else asked for."),
+    ] = None,
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Where the files go.")] = Path(),
+) -> None:
+    """Write a first rig file and a first experiment for a device; nothing moves.
+
+    Asks for what is not given, and proposes the serial ports that it finds. Prints the two files.
+    """
+    from labhil.experiment.new import starters, write_new
+
+    if kind is None:
+        kind = _ask(f"Which device ({', '.join(starters())})", None, "KIND")
+    if address is None:
+        ports = _serial_ports()
+        complain(*(f"found: {port}" for port in ports))
+        address = _ask("Its address (twin for a simulated one)", ports[0] if ports else "twin", "--address")
+    rig, experiment = write_new(kind, address, out)
+    tell(
+        (
+            f"look at [limits] and [known] in {rig} before anything moves",
+            f"then: labhil run {experiment} --dry-run",
+        )
+    )
+    show(rig, experiment)
+
+
+def _ask(question: str, default: str | None, option: str) -> str:
+    if not sys.stdin.isatty():
+        raise UsageError(f"{option}: expected it on the command line, as there is nobody to ask")
+    return str(typer.prompt(question, default=default, err=True)).strip()
+
+
+def _serial_ports() -> list[str]:
+    from serial.tools.list_ports import comports
+
+    return sorted(port.device for port in comports())

@@ -1,0 +1,135 @@
+"""Conditions on signals, such as ``winding_temperature < 30 and abs(speed) < 0.1``.
+
+The grammar is a part of Python's: numbers, names of signals, ``+ - *``, ``/`` by a number, ``abs(…)``,
+comparisons (also chained), ``and``, ``or``, ``not`` and parentheses. The text is parsed and never run as a
+program.
+"""
+
+from __future__ import annotations
+
+import ast
+import operator
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeGuard
+
+from labhil.errors import UnknownNameError
+
+Values = Sequence[float]
+Term = Callable[[Values], float]
+Test = Callable[[Values], bool]
+
+ARITHMETIC: Mapping[type[ast.operator], Callable[[float, float], float]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+}
+COMPARISONS: Mapping[type[ast.cmpop], Callable[[float, float], bool]] = {
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+}
+LARGEST = 1e100
+LONGEST = 500
+"""Characters of a condition, at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """A condition as it was written, with the names of the signals in it."""
+
+    text: str
+    names: tuple[str, ...]
+    _tree: ast.expr
+
+    def over(self, columns: Sequence[str]) -> Test:
+        """Return the test of one sample whose values stand in the order of ``columns``.
+
+        Raises UnknownNameError for a signal that is not among them.
+        """
+        for name in self.names:
+            if name not in columns:
+                raise UnknownNameError("signal", name, columns)
+        return _test(self._tree, {name: place for place, name in enumerate(columns)})
+
+
+def parse_condition(text: str) -> Condition:
+    """Read a condition; ValueError says which part is none.
+
+    Example:
+        >>> condition = parse_condition("winding_temperature < 30 and abs(speed) < 0.1")
+        >>> condition.names
+        ('speed', 'winding_temperature')
+        >>> condition.over(["speed", "winding_temperature"])([0.0, 29.0])
+        True
+    """
+    if len(text) > LONGEST:
+        raise ValueError(f"expected a condition of at most {LONGEST} characters, found {len(text)}")
+    try:
+        tree = ast.parse(text.strip(), mode="eval").body
+        names = sorted({node.id for node in ast.walk(tree) if isinstance(node, ast.Name)} - {"abs"})
+        _test(tree, dict.fromkeys(names, 0))
+    except (SyntaxError, RecursionError, MemoryError) as error:
+        raise ValueError(f"expected a condition like `speed < 0.1`, found {text!r}") from error
+    if not names:
+        raise ValueError(f"expected a condition on a signal, found none in {text!r}")
+    return Condition(text, tuple(names), tree)
+
+
+def _test(node: ast.expr, places: Mapping[str, int]) -> Test:
+    match node:
+        case ast.BoolOp(op=op, values=parts):
+            tests = [_test(part, places) for part in parts]
+            every = all if isinstance(op, ast.And) else any
+            return lambda values: every(test(values) for test in tests)
+        case ast.UnaryOp(op=ast.Not(), operand=part):
+            inner = _test(part, places)
+            return lambda values: not inner(values)
+        case ast.Compare(left=left, ops=ops, comparators=rights):
+            terms = [_term(part, places) for part in (left, *rights)]
+            compare = [_comparison(op) for op in ops]
+
+            def holds(values: Values) -> bool:
+                found = [term(values) for term in terms]
+                return all(one(a, b) for one, a, b in zip(compare, found[:-1], found[1:], strict=True))
+
+            return holds
+    raise ValueError(f"expected a comparison with <, <=, > or >=, found `{ast.unparse(node)}`")
+
+
+def _comparison(op: ast.cmpop) -> Callable[[float, float], bool]:
+    if type(op) not in COMPARISONS:
+        raise ValueError("expected <, <=, > or >=: measured values are never exactly equal")
+    return COMPARISONS[type(op)]
+
+
+def _is_number(value: object) -> TypeGuard[float]:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < LARGEST
+
+
+def _term(node: ast.expr, places: Mapping[str, int]) -> Term:
+    match node:
+        case ast.Constant(value=value) if _is_number(value):
+            number = float(value)
+            return lambda _values: number
+        case ast.Name(id=name) if name in places:
+            place = places[name]
+            return lambda values: values[place]
+        case ast.UnaryOp(op=ast.USub(), operand=part):
+            inner = _term(part, places)
+            return lambda values: -inner(values)
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in ARITHMETIC:
+            first, second, act = _term(left, places), _term(right, places), ARITHMETIC[type(op)]
+            return lambda values: act(first(values), second(values))
+        case ast.BinOp(left=left, op=ast.Div(), right=ast.Constant(value=value)) if (
+            _is_number(value) and value
+        ):
+            above, below = _term(left, places), float(value)
+            return lambda values: above(values) / below
+        case ast.Call(func=ast.Name(id="abs"), args=[part], keywords=[]):
+            inner = _term(part, places)
+            return lambda values: abs(inner(values))
+    raise ValueError(
+        f"expected numbers, signals, + - *, / by a number, and abs(…), found `{ast.unparse(node)}`"
+    )

@@ -1,0 +1,85 @@
+"""A first rig file and experiment file for a device, made of those that come with labhil."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from importlib.resources import files
+from pathlib import Path
+
+from labhil.errors import UnknownNameError, UsageError
+from labhil.experiment.experiment import TWIN, load_experiment
+from labhil.experiment.plan import make_plan
+from labhil.whole import unwritten
+
+EXAMPLES = files("labhil.experiment") / "examples"
+
+
+def starters() -> tuple[str, ...]:
+    """Return the drivers that there is a first experiment for."""
+    names = (entry.name for entry in EXAMPLES.iterdir())
+    return tuple(sorted(name.removesuffix("_identify.toml") for name in names if "_identify.toml" in name))
+
+
+def write_new(kind: str, address: str, folder: Path) -> tuple[Path, Path]:
+    """Write ``KIND.toml`` (the rig) and ``KIND_identify.toml`` (the experiment) into ``folder``.
+
+    For a real device what the simulated one is known to be is commented out.
+
+    Returns:
+        The paths of the rig file and the experiment file.
+
+    Raises:
+        UnknownNameError: There is no first experiment for this driver.
+        UsageError: A file is there already, or the folder cannot be written to.
+    """
+    if kind not in starters():
+        raise UnknownNameError("driver", kind, starters())
+    if not address.strip():
+        raise UsageError('address: expected "twin", a serial port or an address, found nothing')
+    rig, experiment = folder / f"{kind}.toml", folder / f"{kind}_identify.toml"
+    for path in (rig, experiment):
+        if path.exists():
+            raise UsageError(f"{path}: is there already and stays as it is; choose another folder with --out")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        rig.write_text(_rig_text(kind, address), encoding="utf-8")
+        experiment.write_text(_experiment_text(kind, address), encoding="utf-8")
+    except OSError as error:
+        raise unwritten(Path(str(error.filename or folder)), error) from error
+    make_plan(load_experiment(experiment))
+    return rig, experiment
+
+
+def _rig_text(kind: str, address: str) -> str:
+    text = (EXAMPLES / f"{kind}.toml").read_text(encoding="utf-8")
+    return text if address == TWIN else "\n".join(_without_known(text.splitlines())) + "\n"
+
+
+def _without_known(lines: list[str]) -> Iterator[str]:
+    """Comment out what is known of the simulated device: a real one has other values."""
+    section = ""
+    for number, line in enumerate(lines):
+        if line.startswith("["):
+            section = line
+        if number == 0 and line.startswith("#"):
+            yield "# A first rig file: state what you know of your device, and look at the limits."
+        elif section == "[known]" and line.strip() and line[0] not in "[#":
+            yield f"# {line}"
+        else:
+            yield line
+
+
+def _experiment_text(kind: str, address: str) -> str:
+    text = (EXAMPLES / f"{kind}_identify.toml").read_text(encoding="utf-8")
+    if address == TWIN:
+        return text
+    lines = []
+    for line in text.splitlines():
+        if line.startswith("address ="):
+            lines.append(f"address = {json.dumps(address)}")
+        elif line.startswith("twin ="):
+            lines.append(f"# {line}")
+        else:
+            lines.append(line)
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,184 @@
+"""What a recording holds, put together for a person or a program: streams, rates, gaps, clocks, events."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+
+from labhil.documents import parse_json
+from labhil.kinds import RigKind, kind_named, kind_names
+from labhil.recording.reader import Event, Recording, StreamData
+from labhil.recording.runs import UNIX_TIMES
+
+ROUTINE = ("state", "status")
+"""Topics and kinds of events that only say that all is as before."""
+FREE_TEXT = ("operator", "sample", "notes")
+
+
+def tags_of(recording: Recording) -> tuple[str, ...]:
+    """Return the tags that the experiment gave to a recording."""
+    try:
+        found = parse_json(recording.metadata.get("experiment", {}).get("tags", "[]"))
+    except ValueError:
+        return ()
+    return tuple(str(tag) for tag in found) if isinstance(found, list) else ()
+
+
+def how_it_ended(recording: Recording) -> str:
+    """Return "done", "failed", "imported", or "no end" for one whose recorder was killed."""
+    end = recording.metadata.get("end", {})
+    if not recording.complete or not end:
+        return "no end"
+    if "experiment" not in recording.metadata:
+        return "imported"
+    return "done" if end.get("exit_status") in ("0", "done") else "failed"
+
+
+def fitting_kinds(recording: Recording) -> tuple[str, ...]:
+    """Return the rig kinds whose inputs and outputs one device of the recording has."""
+    names: dict[str, set[str]] = {}
+    for data in recording.streams:
+        names.setdefault(data.device, set()).update(data.stream.names())
+    kinds = [kind_named(name) for name in kind_names()]
+    return tuple(kind.name for kind in kinds if any(_fits(kind, found) for found in names.values()))
+
+
+def _fits(kind: RigKind, names: set[str]) -> bool:
+    outputs = {signal.name for signal in kind.outputs}
+    measured = bool(outputs & names) if kind.any_output else outputs <= names
+    return measured and any(set(inputs) <= names for inputs in kind.driven_by)
+
+
+def describe_contents(recording: Recording) -> dict[str, Any]:
+    """Return what a recording holds as ``labhil.info/1``; every number is finite or None."""
+    first = min((int(data.t_acq_ns[0]) for data in recording.streams if len(data)), default=0)
+    experiment = recording.metadata.get("experiment", {})
+    return {
+        "schema": "labhil.info/1",
+        "path": str(recording.path),
+        "sha256": recording.sha256,
+        "size": recording.path.stat().st_size,
+        "status": how_it_ended(recording),
+        "reason": recording.metadata.get("end", {}).get("reason", ""),
+        "complete": recording.complete,
+        "damage": recording.damage,
+        "start": datetime.fromtimestamp(first * 1e-9, UTC).isoformat() if first >= UNIX_TIMES else None,
+        "duration": recording.duration,
+        "rig": None if recording.rig is None else recording.rig.kind.name,
+        "fits": list(fitting_kinds(recording)),
+        "experiment": experiment.get("name"),
+        **{key: experiment.get(key) for key in FREE_TEXT},
+        "tags": list(tags_of(recording)),
+        "campaign": dict(recording.metadata["campaign"]) if "campaign" in recording.metadata else None,
+        "streams": [_stream(recording, data) for data in recording.streams],
+        "events": [_event(event) for event in recording.events if not _is_routine(event)],
+        "attachments": sorted(recording.attachments),
+        "foreign": list(recording.foreign),
+        "warnings": recording.losses(),
+    }
+
+
+def _stream(recording: Recording, data: StreamData) -> dict[str, Any]:
+    steps = np.diff(data.seq)
+    clock = recording.clocks.get(data.device)
+    return {
+        "device": data.device,
+        "stream": data.stream.name,
+        "samples": len(data),
+        "lost": data.lost,
+        "longest_gap": int(steps.max() - 1) if len(steps) else 0,
+        "rate": data.rate,
+        "nominal_rate": data.stream.rate,
+        "speed": data.speed,
+        "clock": None
+        if clock is None
+        else {"drift_ppm": clock.drift * 1e6, "jitter": clock.jitter, "stepped": clock.stepped},
+        "clock_faults": [fault.statement for fault in data.clock_faults],
+        "signals": [
+            {
+                "name": signal.name,
+                "unit": signal.unit,
+                "width": signal.width,
+                "direction": signal.direction.value,
+                **_range(data, signal.name),
+            }
+            for signal in data.stream.signals
+        ],
+    }
+
+
+def _range(data: StreamData, name: str) -> dict[str, float | None]:
+    values = data[name]
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return {"lowest": None, "highest": None}
+    return {"lowest": float(finite.min()), "highest": float(finite.max())}
+
+
+def _is_routine(event: Event) -> bool:
+    return event.topic in ROUTINE or str(event.body.get("kind", "")) in ROUTINE
+
+
+def _event(event: Event) -> dict[str, Any]:
+    body = event.body
+    message = body.get("message") or body.get("text") or body.get("reason") or ""
+    return {
+        "t": event.t,
+        "device": event.device,
+        "kind": str(body.get("kind", "note")),
+        "message": str(message),
+    }
+
+
+def contents_in_words(info: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the lines of ``labhil info``; ``info`` is what :func:`describe_contents` returns."""
+    yield f"{info['path']}: {info['status']}, {info['duration']:.4g} s, {info['size'] / 1e6:.3g} MB"
+    start = "" if info["start"] is None else f"started {info['start'][:19].replace('T', ' ')} UTC"
+    rig = "no rig file attached" if info["rig"] is None else f"rig {info['rig']} attached"
+    fits = f"fits rig kinds: {', '.join(info['fits'])}" if info["fits"] else "fits no rig kind as it is"
+    yield "  " + "; ".join(part for part in (start, rig, fits) if part)
+    for key in ("experiment", *FREE_TEXT):
+        if info[key]:
+            yield f"  {key}: {info[key]}"
+    if info["tags"]:
+        yield f"  tags: {', '.join(info['tags'])}"
+    if info["campaign"]:
+        told = dict(info["campaign"])
+        head = f"run {told.pop('run', '?')} of {told.pop('of', '?')} of {told.pop('file', '?')}"
+        told.pop("name", None)
+        yield f"  campaign: {', '.join([head, *(f'{key} = {value}' for key, value in told.items())])}"
+    for stream in info["streams"]:
+        yield from _stream_in_words(stream)
+    if info["events"]:
+        yield "  events:"
+        yield from (
+            f"    {event['t']:9.3f} s  {event['device']:<9} {event['kind']:<10} {event['message']}".rstrip()
+            for event in info["events"]
+        )
+    yield from (f"  warning: {warning}" for warning in info["warnings"])
+
+
+def _stream_in_words(stream: Mapping[str, Any]) -> Iterator[str]:
+    lost = f"{stream['lost']} lost" if stream["lost"] else "none lost"
+    if stream["lost"]:
+        lost += f" (up to {stream['longest_gap']} in a row)"
+    faster = f", {stream['speed']:g} times faster than real time" if stream["speed"] != 1.0 else ""
+    yield (
+        f"  /{stream['device']}/{stream['stream']}: {stream['samples']} samples, {lost}, "
+        f"{stream['rate']:.5g} Hz (nominal {stream['nominal_rate']:g}){faster}"
+    )
+    clock = stream["clock"]
+    if clock is not None:
+        jitter = f"stamps jitter {clock['jitter'] * 1e3:.2g} ms"
+        yield f"    clock {clock['drift_ppm']:+.1f} ppm of the host's, {jitter}"
+    for signal in stream["signals"]:
+        width = f" × {signal['width']}" if signal["width"] > 1 else ""
+        reach = (
+            "no finite value"
+            if signal["lowest"] is None
+            else f"{signal['lowest']:.4g} to {signal['highest']:.4g}"
+        )
+        yield f"    {signal['name']}{width} [{signal['unit']}] {signal['direction']}: {reach}"

@@ -1,0 +1,192 @@
+"""Recordings and results in a folder, found by tag, rig, time or text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from labhil.documents import parse_json
+from labhil.errors import LabhilError, UsageError
+from labhil.recording.contents import FREE_TEXT, how_it_ended, tags_of
+from labhil.recording.reader import Recording, read_recording
+from labhil.recording.runs import UNIX_TIMES
+
+RESULTS = {"labhil.fit/1": "fit", "labhil.diagnosis/1": "diagnosis", "labhil.campaign/1": "campaign"}
+LARGEST_RESULT = 64 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One file: a recording, or the result of a fit or diagnosis, or a campaign.
+
+    ``start`` is when its first sample was taken, or when the file was written where no sample says that.
+    ``text`` is what a search looks into.
+    """
+
+    path: Path
+    kind: str
+    start: datetime
+    status: str = ""
+    rig: str | None = None
+    duration: float | None = None
+    tags: tuple[str, ...] = ()
+    summary: str = ""
+    text: str = field(default="", repr=False)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as an item of ``labhil.list/1``."""
+        return {
+            "path": str(self.path),
+            "kind": self.kind,
+            "start": self.start.isoformat(),
+            "status": self.status,
+            "rig": self.rig,
+            "duration": self.duration,
+            "tags": list(self.tags),
+            "summary": self.summary,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Filter:
+    """What is wanted: all ``tags``, a ``rig`` kind, from ``since`` to before ``until``, ``text`` anywhere."""
+
+    tags: tuple[str, ...] = ()
+    rig: str | None = None
+    since: datetime | None = None
+    until: datetime | None = None
+    text: str | None = None
+
+    def takes(self, entry: Entry) -> bool:
+        """Whether this file is wanted; cases of letters do not count."""
+        own = {tag.casefold() for tag in entry.tags}
+        return (
+            all(tag.casefold() in own for tag in self.tags)
+            and (self.rig is None or entry.rig == self.rig)
+            and (self.since is None or entry.start >= self.since)
+            and (self.until is None or entry.start < self.until)
+            and (self.text is None or self.text.casefold() in entry.text.casefold())
+        )
+
+
+def list_folder(folders: Sequence[Path], wanted: Filter | None = None) -> list[Entry]:
+    """Return what is in these folders and below, the newest first.
+
+    Raises UsageError for one that is no folder.
+    """
+    wanted = Filter() if wanted is None else wanted
+    found: dict[Path, Entry] = {}
+    for folder in folders:
+        if not folder.is_dir():
+            raise UsageError(f"{folder}: expected a folder with recordings, found none")
+        for entry in _entries(folder):
+            found.setdefault(entry.path.resolve(), entry)
+    return sorted((entry for entry in found.values() if wanted.takes(entry)), key=_newest_first)
+
+
+def _newest_first(entry: Entry) -> tuple[float, str]:
+    return -entry.start.timestamp(), str(entry.path)
+
+
+def _entries(folder: Path) -> Iterator[Entry]:
+    for path in sorted(folder.rglob("*")):
+        if any(part.startswith(".") for part in path.relative_to(folder).parts) or not path.is_file():
+            continue
+        if path.name.endswith((".mcap", ".mcap.part")):
+            yield _recording(path)
+        elif path.suffix == ".json":
+            result = _result(path)
+            if result is not None:
+                yield result
+
+
+def _recording(path: Path) -> Entry:
+    written = _written(path)
+    try:
+        recording = read_recording(path)
+    except LabhilError as error:
+        summary = str(error).removeprefix(f"{path}: ")
+        return Entry(path, "recording", written, "unreadable", summary=summary, text=f"{path} {summary}")
+    first = min((int(data.t_acq_ns[0]) for data in recording.streams if len(data)), default=0)
+    start = datetime.fromtimestamp(first * 1e-9, UTC) if first >= UNIX_TIMES else written
+    tags = tags_of(recording)
+    told = recording.metadata.get("experiment", {})
+    summary = ", ".join(told[key] for key in ("name", *FREE_TEXT) if told.get(key))
+    return Entry(
+        path,
+        "recording",
+        start,
+        how_it_ended(recording),
+        recording.rig.kind.name if recording.rig is not None else None,
+        recording.duration,
+        tags,
+        summary,
+        " ".join([str(path), summary, *tags, *_marks(recording)]),
+    )
+
+
+def _marks(recording: Recording) -> Iterator[str]:
+    for event in recording.events:
+        if event.body.get("kind") == "mark":
+            yield str(event.body.get("message", ""))
+
+
+def _result(path: Path) -> Entry | None:
+    try:
+        if path.stat().st_size > LARGEST_RESULT:
+            return None
+        data = parse_json(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    kind = RESULTS.get(str(data.get("schema"))) if isinstance(data, dict) else None
+    if kind is None:
+        return None
+    recordings = data.get("recordings")
+    told = [one for one in recordings if isinstance(one, dict)] if isinstance(recordings, list) else []
+    rig = data.get("rig") or next((one.get("rig") for one in told), None)
+    of = ", ".join(Path(str(one["path"])).name for one in told if "path" in one)
+    if kind == "campaign":
+        runs = data.get("runs") if isinstance(data.get("runs"), list) else []
+        done = sum(isinstance(run, dict) and run.get("status") == "done" for run in runs)
+        status, of = f"{done} of {len(runs)}", str(data.get("experiment", ""))
+    else:
+        status = str(data.get("verdict") or "")
+    rig = str(rig) if rig is not None else None
+    return Entry(path, kind, _written(path), status, rig, None, (), of, f"{path} {of} {status}")
+
+
+def _written(path: Path) -> datetime:
+    try:
+        return datetime.fromtimestamp(path.stat().st_mtime, UTC)
+    except OSError:
+        return datetime.fromtimestamp(0, UTC)
+
+
+def list_in_words(entries: Sequence[Entry]) -> Iterator[str]:
+    """Yield a line for each file."""
+    rows = [
+        (
+            f"{entry.start.astimezone():%Y-%m-%d %H:%M:%S}",
+            entry.kind,
+            entry.status,
+            entry.rig or "–",
+            "" if entry.duration is None else f"{entry.duration:.4g} s",
+            str(entry.path),
+            " ".join(part for part in (" ".join(f"#{tag}" for tag in entry.tags), entry.summary) if part),
+        )
+        for entry in entries
+    ]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+
+
+def parse_moment(text: str, option: str) -> datetime:
+    """Return the moment that ``text`` names in local time; UsageError names the ``option``."""
+    try:
+        return datetime.fromisoformat(text).astimezone()
+    except ValueError as error:
+        raise UsageError(f"{option} {text!r}: expected a date like 2026-05-31 or 2026-05-31T14:00") from error

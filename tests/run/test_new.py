@@ -1,0 +1,76 @@
+from __future__ import annotations
+
+import os
+import pty
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from labhil.experiment.experiment import load_experiment
+from labhil.experiment.new import starters, write_new
+from labhil.experiment.plan import make_plan
+from labhil.rig import load_rig
+
+COMMAND = (sys.executable, "-P", "-m", "labhil", "new")
+
+
+def new(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    done = subprocess.run(
+        [*COMMAND, *arguments],
+        cwd=folder,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert "Traceback" not in done.stderr
+    return done
+
+
+@pytest.mark.parametrize("kind", starters())
+@pytest.mark.parametrize("address", ["twin", "192.168.1.9"])
+def test_what_is_written_can_be_planned(tmp_path: Path, kind: str, address: str) -> None:
+    rig, experiment = write_new(kind, address, tmp_path / "bench")
+    plan = make_plan(load_experiment(experiment))
+    (device,) = plan.devices
+    assert device.section.address == address
+    assert device.rig.limits
+    assert address == "twin" or not load_rig(rig).known
+
+
+def test_the_command_writes_two_files_and_overwrites_none(tmp_path: Path) -> None:
+    done = new(tmp_path, "dc_motor", "--address", "/dev/ttyACM0", "-o", "bench")
+    assert done.stdout.split() == ["bench/dc_motor.toml", "bench/dc_motor_identify.toml"]
+    assert 'address = "/dev/ttyACM0"' in (tmp_path / "bench" / "dc_motor_identify.toml").read_text()
+    again = new(tmp_path, "dc_motor", "--address", "twin", "-o", "bench")
+    assert again.returncode == 2
+    assert "is there already" in again.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("dc_moter", "--address", "twin"), "did you mean 'dc_motor'"),
+        (("dc_motor", "--address", " "), 'expected "twin"'),
+        ((), "KIND: expected it on the command line"),
+        (("dc_motor",), "--address: expected it on the command line"),
+    ],
+)
+def test_what_is_missing_or_wrong_is_said(tmp_path: Path, arguments: tuple[str, ...], message: str) -> None:
+    done = new(tmp_path, *arguments)
+    assert done.returncode == 2
+    assert message in done.stderr
+
+
+def test_at_a_terminal_it_asks(tmp_path: Path) -> None:
+    ours, theirs = pty.openpty()
+    os.write(ours, b"solenoid\ntwin\n")
+    done = subprocess.run(
+        COMMAND, cwd=tmp_path, stdin=theirs, capture_output=True, text=True, check=False, timeout=60
+    )
+    os.close(ours)
+    os.close(theirs)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["solenoid.toml", "solenoid_identify.toml"]
