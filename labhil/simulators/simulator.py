@@ -198,7 +198,8 @@ def simulator(
     if len(states) != 2 or len(inputs) != 1:
         raise UsageError(
             f"simulator {called!r}: expected 2 states (a position and its velocity) and 1 input, found "
-            f"{len(states)} and {len(inputs)}; for others register a RightHandSide, see docs/plugins.md"
+            f"{len(states)} and {len(inputs)}; for others register a RightHandSide, see "
+            "docs/how-to/add-a-twin-and-a-rig.md"
         )
     position, velocity = states
     measured = _measured(called, outputs, states)
