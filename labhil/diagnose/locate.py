@@ -11,7 +11,7 @@ from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score
 from labhil.physics.extra_force import Yielding
 from labhil.physics.model import Metric, Model, Record, Windows, index_of
-from labhil.physics.terms import Term, unkeyed
+from labhil.physics.terms import unkeyed
 from labhil.signals import FloatArray
 
 SHARE = 0.8
@@ -377,18 +377,3 @@ def whose(before: Score, after: Score) -> str:
     shares = 100.0 * sums / sums.sum()
     told = [f"{s:.0f} % in recording {r.recording}" for s, r in zip(shares, after.recordings, strict=True)]
     return f" Of the excess error {', '.join(told)}."
-
-
-def statement(channel: str, strongest: Term, regimes: Mapping[str, tuple[Regime, ...]]) -> str:
-    """One plain sentence: which effect is the strongest, where it enters, and where an effect lives."""
-    begin = f"What {channel} is off by enters by the {strongest.enters.value} (most of it {strongest.key})"
-    named = next(((term, found) for term, found in regimes.items() if found), None)
-    if named is None:
-        return f"{begin} and is spread over all regimes that were visited."
-    term, stretches = named
-    share = sum(regime.share_of_excess for regime in stretches)
-    between = " or ".join(f"between {r.low:.3g} and {r.high:.3g}" for r in stretches).replace("-", "−")
-    coordinate = stretches[0].coordinate
-    at = "where it is" if coordinate == term else f"at {coordinate}"
-    lives = f"{100 * share:.0f} % of {term} lives {at} {between} {stretches[0].unit}".rstrip()
-    return f"{begin}; {lives}."

@@ -80,6 +80,11 @@ def _places(model: Model, theta: FloatArray, seen: HeldOut, worst: int) -> tuple
     return tuple(replace(regime, unit=units[regime.coordinate] or "") for regime in found)
 
 
+def _rounded(value: float) -> str:
+    """Two digits, without an exponent."""
+    return f"{float(f'{value:.2g}'):,g}" if value < 1e6 else f"{value:.2g}"
+
+
 def _statement(
     names: Sequence[str], explained: float, floors: float, channel: str, places: Sequence[Regime]
 ) -> str:
@@ -88,7 +93,7 @@ def _statement(
     text = f"{text} {verb} {100.0 * explained:.0f} % of the error in {channel} beyond its noise"
     if floors <= NOISE:
         return f"{text}; what remains is noise."
-    text += f"; {floors:.2g} noise floors remain"
+    text += f"; {_rounded(floors)} noise floors remain"
     if not places:
         return f"{text}, spread over all that was visited."
     coordinate, unit = places[0].coordinate, places[0].unit

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +20,7 @@ from labhil.identify.intervals import quantile
 from labhil.identify.score import Score
 from labhil.identify.statistics import Estimate
 from labhil.physics.model import Model, Record, index_of
-from labhil.physics.terms import Parameter, Term, keyed, unkeyed
+from labhil.physics.terms import Enters, Parameter, Term, keyed, unkeyed
 from labhil.signals import FloatArray
 
 WIDER = (
@@ -172,9 +172,36 @@ def _named_location(found: Found, before: Score, after: Score, held_out: Record)
         enters=strongest.enters.value,
         times=times,
         regimes=tuple(regime for found in regimes.values() for regime in found),
-        statement=locate.statement(keyed(channel, joint), strongest, regimes),
+        statement=statement(keyed(channel, joint), strongest, regimes),
         recordings=recordings,
     )
+
+
+KINDS = {
+    Enters.RIG: "a wrong size of the rig",
+    Enters.FORCE: "a missing force",
+    Enters.INPUT: "an effect at the input",
+    Enters.OUTPUT: "an effect of the measurement",
+    Enters.ELECTRICAL: "a missing electrical effect",
+    Enters.MAGNETIC: "a missing magnetic effect",
+    Enters.LOAD: "a missing load",
+}
+"""What an error is, by where the effect behind it enters."""
+
+
+def statement(channel: str, strongest: Term, regimes: Mapping[str, tuple[locate.Regime, ...]]) -> str:
+    """Say in two sentences which effect is the strongest, where it enters, and where an effect acts."""
+    begin = f"The error in {channel} is {KINDS[strongest.enters]}, mostly {strongest.key}."
+    named = next(((term, found) for term, found in regimes.items() if found), None)
+    if named is None:
+        return f"{begin} It is spread over all that was visited."
+    term, stretches = named
+    share = sum(regime.share_of_excess for regime in stretches)
+    between = " or ".join(f"between {r.low:.3g} and {r.high:.3g}" for r in stretches).replace("-", "−")
+    coordinate = stretches[0].coordinate
+    at = "where it is" if coordinate == term else f"at {coordinate}"
+    effect = f"{100 * share:.0f} % of the effect of {term} is {at} {between} {stretches[0].unit}".rstrip()
+    return f"{begin} {effect}."
 
 
 def _beyond_location(
@@ -195,8 +222,8 @@ def _beyond_location(
         regimes=tuple(
             replace(regime, unit=beyond.x_unit, term=beyond.term, joint=beyond.joint) for regime in regimes
         ),
-        statement=f"What {keyed(channel, joint)} is off by enters by the {beyond.enters} and follows {name}."
-        + _not_all(after),
+        statement=f"The error in {keyed(channel, joint)} is {KINDS[Enters(beyond.enters)]} that follows "
+        f"{name}.{_not_all(after)}",
         recordings=recordings,
     )
 

@@ -242,7 +242,7 @@ def diagnosis_text(diagnosis: DiagnosisPart) -> RenderableType:
         *(Text(line) for line in lines),
         *_found(diagnosis),
         *([] if diagnosis.improvement is None else _improvement(diagnosis.improvement)),
-        parameter_table(diagnosis.final.parameters, "The model that is left"),
+        parameter_table(diagnosis.final.parameters, "Final model"),
         *_not_found(diagnosis),
     )
 

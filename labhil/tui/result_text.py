@@ -190,7 +190,7 @@ def diagnosis_text(found: DiagnosisPart, colours: Colours) -> RenderableType:
         parts += [_title("What has changed", colours), _changed(found)]
     if found.improvement is not None:
         parts += [_title("How much better", colours), _improvement(found.improvement, colours)]
-    parts += [_title("The model that is left", colours), parameter_table(found.final.parameters, colours)]
+    parts += [_title("Final model", colours), parameter_table(found.final.parameters, colours)]
     return Group(*parts, *_rest(found, colours))
 
 

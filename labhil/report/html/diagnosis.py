@@ -246,7 +246,7 @@ def _channel(channel: ChannelImprovement, metric: str, recording: int | None = N
 def _final(diagnosis: DiagnosisPart, album: Album) -> Section | None:
     final = diagnosis.final
     return section(
-        "The model that is left",
+        "Final model",
         tag("p", "Its terms: ", names(final.terms), "."),
         parameters_table(final.parameters, "Parameters of the final model, fitted to the search data"),
         intervals_picture(album, final.parameters),
@@ -326,7 +326,7 @@ def _undecided(diagnosis: DiagnosisPart) -> Section | None:
         )
         for silence in silences(diagnosis.undecided)
     ]
-    return section("Of what these data cannot speak", bullets(lines))
+    return section("What these data cannot decide", bullets(lines))
 
 
 def _method(diagnosis: DiagnosisPart) -> Section | None:
