@@ -41,7 +41,7 @@ from labhil.tui.lab import Lab
 from labhil.tui.live import LivePane
 from labhil.tui.messages import RunSaid, ShelfRead, StartWanted, StudySaid, StudyWanted
 from labhil.tui.pace import Pace
-from labhil.tui.palette import TABS, commands
+from labhil.tui.palette import TABS, Palette, commands
 from labhil.tui.recordings import RecordingsPane
 from labhil.tui.results import ResultsPane
 from labhil.tui.runner import Runner
@@ -261,6 +261,11 @@ class LabApp(App[None]):
             self.base.query_one(RecordingsPane).take(message.recordings)
 
     # tabs
+
+    def action_command_palette(self) -> None:
+        """Show the command palette."""
+        if not isinstance(self.screen, Palette):
+            self.push_screen(Palette(id="--command-palette"))
 
     def action_tab(self, name: str) -> None:
         """Bring a tab to the front."""

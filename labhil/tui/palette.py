@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING
 
+from textual import work
 from textual.app import SystemCommand
+from textual.command import CommandPalette
+from textual.css.query import NoMatches
 
 from labhil.tui.experiment import ALLOWED, ExperimentPane
 from labhil.tui.themes import DARK
@@ -15,6 +19,19 @@ if TYPE_CHECKING:
     from labhil.tui.app import LabApp
 
 TABS = ("devices", "live", "experiment", "recordings", "results")
+
+
+class Palette(CommandPalette):
+    """The palette, whose search ends where it is left.
+
+    Textual 8.2 searches for what was typed in a worker, which looks for the list of commands. Where the
+    palette was left in between the list is gone, and the whole program would end with an error.
+    """
+
+    @work(exclusive=True, group=CommandPalette._GATHER_COMMANDS_GROUP)
+    async def _gather_commands(self, search_value: str) -> None:
+        with suppress(NoMatches):
+            await CommandPalette._gather_commands.__wrapped__(self, search_value)  # type: ignore[attr-defined]
 
 
 def commands(app: LabApp, pane: ExperimentPane) -> Iterator[SystemCommand]:
