@@ -6,7 +6,7 @@ fits leaves no more than noise.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -62,8 +62,7 @@ def better_hold(model: Model, record: Record) -> Hold | None:
     part = _part(model, record)
     if part is None:
         return None
-    fits = _fits(model, [replace(part, input_holds=(hold,)) for hold in Hold])
-    best = _clearly_best(fits)
+    best = _best_of(model, [replace(part, input_holds=(hold,)) for hold in Hold])
     return None if best is None else tuple(Hold)[best]
 
 
@@ -75,8 +74,7 @@ def late_input(model: Model, record: Record) -> Fault | None:
     part = _part(model, record)
     if part is None:
         return None
-    fits = _fits(model, [_earlier(part, samples) for samples in range(FURTHEST + 1)])
-    best = _clearly_best(fits)
+    best = _best_of(model, [_earlier(part, samples) for samples in range(FURTHEST + 1)])
     if not best:
         return None
     name, shift = record.input_names[0], -best * record.period
@@ -147,12 +145,22 @@ def _earlier(record: Record, samples: int) -> Record:
     return replace(record, inputs=inputs)
 
 
-def _fits(model: Model, records: Iterable[Record]) -> list[Fitted]:
+def _best_of(model: Model, records: Sequence[Record]) -> int | None:
+    """Which of the records a model fits far better; brief fits propose it, thorough ones confirm it.
+
+    A brief fit may stay in a local minimum, which is far worse than another's best.
+    """
+    if _clearly_best(_fits(model, records, thorough=False)) is None:
+        return None
+    return _clearly_best(_fits(model, records, thorough=True))
+
+
+def _fits(model: Model, records: Iterable[Record], *, thorough: bool) -> list[Fitted]:
     terms = [term for term in TERMS if term in model.terms]
     length = IN_HORIZONS * model.horizon
     try:
         return [
-            fit_terms(model, r, terms, length, noise_of(r), new_terms=(), thorough=False) for r in records
+            fit_terms(model, r, terms, length, noise_of(r), new_terms=(), thorough=thorough) for r in records
         ]
     except (UsageError, np.linalg.LinAlgError):
         return []
