@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -272,11 +271,3 @@ def _check_coordinate(
             f"simulator {called!r}: coordinate: expected either `like` (an input that a force acts like) or "
             "`inertia` (a parameter that divides it)"
         )
-
-
-def source_of(f: RightHandSide) -> str:
-    """Where a right-hand side stands, for messages."""
-    try:
-        return f"{inspect.getsourcefile(f)}:{inspect.getsourcelines(f)[1]}"
-    except (OSError, TypeError):
-        return getattr(f, "__name__", repr(f))

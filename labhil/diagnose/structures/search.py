@@ -229,7 +229,9 @@ class StructureSearch:
         variants = own.responses.variants
         choice = tuple(variants[t][0] for t in fitted.terms if t in structure and t in variants)
         stands = own.evaluate([choice])[0]
-        state.refitted[structure] = Refitted(fitted, stands.log_evidence, stands.undisturbed, choice, own)
+        state.refitted[structure] = Refitted(
+            fitted, stands.log_evidence, stands.undisturbed, choice, own, own.relevance(choice)
+        )
 
 
 def search_structures(

@@ -15,13 +15,14 @@ from labhil.physics.model import Model
 
 @dataclass(frozen=True, slots=True)
 class Refitted:
-    """A structure's own fit and its log evidence where that stands."""
+    """A structure's own fit, its log evidence where that stands, and what its terms explain there."""
 
     fitted: Fitted
     log_evidence: float
     undisturbed: float
     choice: Choice
     view: Enumeration
+    relevance: Mapping[str, float]
 
 
 @dataclass(slots=True)
@@ -47,7 +48,7 @@ class SearchState:
     def relevance(self, structure: Structure) -> dict[str, float]:
         """What each term of a refitted structure explains over what that leaves: by refits, where known."""
         own = self.refitted[structure]
-        found = own.view.relevance(own.choice)
+        found = dict(own.relevance)
         for term in found:
             reduced = self.refitted.get(structure - {term})
             if reduced is not None:
