@@ -46,6 +46,11 @@ class DrivenPath:
             self._remembered[key] = found
         return found[1]
 
+    def at_samples(self, record: Record, windows: Windows, value: Value) -> FloatArray:
+        """The first input behind these effects at the samples of windows, (N,)."""
+        nodes, values = self.nodes(record, 0, value)
+        return np.interp(record.t[windows.rows], nodes, values)
+
 
 def effective(record: Record, column: int, value: Value) -> input_path.Nodes:
     """The way in, walked once through the whole record."""

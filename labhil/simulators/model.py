@@ -194,9 +194,8 @@ class SimulatorModel:
     def driven(
         self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
     ) -> Mapping[str, FloatArray]:
-        """What is left of the input behind the way in."""
-        nodes, values = self._path.nodes(record, 0, lambda name: self._values.of(theta, name))
-        return {"acting_drive": np.interp(record.t[windows.rows], nodes, values)}
+        """What acts of the input behind the way in."""
+        return {"acting_drive": self._path.at_samples(record, windows, lambda n: self._values.of(theta, n))}
 
     def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """Force on the inertia at these coordinates; zero where it rests."""

@@ -116,10 +116,9 @@ def test_a_motor_with_damping_of_its_own_is_known_to_lack_dry_friction() -> None
 
 
 @pytest.mark.extended
-def test_a_delay_is_named_first() -> None:
-    # a short lag of the sensor may be named beside it: known to be too much
+def test_a_delay_is_named_and_nothing_else() -> None:
     found = lh.diagnose(recorded(pendulum(), seed=11, seconds=20.0, late=5), method="evidence")
-    assert found.missing[0].term == "time_delay"
+    assert [effect.term for effect in found.missing] == ["time_delay"]
 
 
 def turned(voltage: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ import numpy as np
 from labhil.diagnose.curve import begun, gauged, glance, refined, with_spline
 from labhil.diagnose.found import FittedCurve
 from labhil.diagnose.judge import Data
-from labhil.diagnose.structures.enumerate import Choice, Enumeration, Structure
+from labhil.diagnose.structures.enumerate import RELEVANCE, Choice, Enumeration, Structure
 from labhil.diagnose.structures.responses import CurveColumns, responses
 from labhil.diagnose.unmodelled import given_coordinates, motion_coordinates, with_placed
 from labhil.identify.extended import NAME, Coordinate
@@ -44,7 +44,7 @@ class CurveOptions:
     margin: float = 5.0
     iterations: int = 8
     claim: float = 5.0
-    relevance: float = 1.0
+    relevance: float = RELEVANCE
 
 
 @dataclass(frozen=True, slots=True)

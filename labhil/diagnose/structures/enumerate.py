@@ -19,6 +19,10 @@ Structure = frozenset[str]
 KNOWN_NOISE = 1.1
 """RMS in noise levels up to which nothing remains: a noise level is known to some ten per cent."""
 
+RELEVANCE = 1.0
+"""What a term or a curve explains over what no term does, at least. An effect that is smaller than what is
+missing beside it cannot be told from that."""
+
 Choice = tuple[Variant, ...]
 """A structure with the way in which each of its terms acts."""
 

@@ -17,7 +17,7 @@ from labhil.diagnose.judge import ALPHA, Data
 from labhil.diagnose.refit import without
 from labhil.diagnose.screen import Progress, candidates
 from labhil.diagnose.structures.curves import CurveSearch
-from labhil.diagnose.structures.enumerate import Enumeration, Predicted, Structure, closed
+from labhil.diagnose.structures.enumerate import RELEVANCE, Enumeration, Predicted, Structure, closed
 from labhil.diagnose.structures.responses import responses
 from labhil.diagnose.structures.state import (
     Refitted,
@@ -64,7 +64,7 @@ class Options:
     refits: int = 3
     margin: float = 5.0
     claim: float = 5.0
-    relevance: float = 1.0
+    relevance: float = RELEVANCE
     few: int = 2
 
 

@@ -27,12 +27,15 @@ class Refitted:
 
 @dataclass(slots=True)
 class SearchState:
-    """What a stage has visited: refitted structures, and all as the newest linearisation predicts them."""
+    """What a stage has visited: refitted structures, and all as the newest linearisation predicts them.
 
+    ``least`` is what a term explains over what no term does, at least.
+    """
+
+    least: float
     refitted: dict[Structure, Refitted] = field(default_factory=dict)
     predicted: dict[Structure, Predicted] = field(default_factory=dict)
     view: Enumeration | None = None
-    least: float = 1.0
 
     @property
     def relevant(self) -> dict[Structure, Refitted]:
