@@ -24,6 +24,7 @@ from labhil.experiment.plan import make_plan
 from labhil.experiment.points import Point, fingerprint, points_of
 from labhil.experiment.result import Progress, RunResult, free_path
 from labhil.experiment.run import run_experiment
+from labhil.recording.contents import how_it_ended
 from labhil.recording.reader import read_recording
 from labhil.rig import explain
 from labhil.whole import whole
@@ -260,7 +261,6 @@ class _Campaign:
 def _is_done(path: Path) -> bool:
     """Whether a recording has its end, and that says that all went well."""
     try:
-        recording = read_recording(path)
+        return how_it_ended(read_recording(path)) == "done"
     except RecordingError:
         return False
-    return recording.complete and recording.metadata.get("end", {}).get("exit_status") == "0"

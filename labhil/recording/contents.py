@@ -37,6 +37,12 @@ def how_it_ended(recording: Recording) -> str:
     return "done" if end.get("exit_status") in ("0", "done") else "failed"
 
 
+def started_at(recording: Recording) -> datetime | None:
+    """Return when the first sample was taken; None where no stamp says that."""
+    first = min((int(data.t_acq_ns[0]) for data in recording.streams if len(data)), default=0)
+    return datetime.fromtimestamp(first * 1e-9, UTC) if first >= UNIX_TIMES else None
+
+
 def fitting_kinds(recording: Recording) -> tuple[str, ...]:
     """Return the rig kinds whose inputs and outputs one device of the recording has."""
     names: dict[str, set[str]] = {}
@@ -54,7 +60,7 @@ def _fits(kind: RigKind, names: set[str]) -> bool:
 
 def describe_contents(recording: Recording) -> dict[str, Any]:
     """Return what a recording holds as ``labhil.info/1``; every number is finite or None."""
-    first = min((int(data.t_acq_ns[0]) for data in recording.streams if len(data)), default=0)
+    start = started_at(recording)
     experiment = recording.metadata.get("experiment", {})
     return {
         "schema": "labhil.info/1",
@@ -65,7 +71,7 @@ def describe_contents(recording: Recording) -> dict[str, Any]:
         "reason": recording.metadata.get("end", {}).get("reason", ""),
         "complete": recording.complete,
         "damage": recording.damage,
-        "start": datetime.fromtimestamp(first * 1e-9, UTC).isoformat() if first >= UNIX_TIMES else None,
+        "start": None if start is None else start.isoformat(),
         "duration": recording.duration,
         "rig": None if recording.rig is None else recording.rig.kind.name,
         "fits": list(fitting_kinds(recording)),

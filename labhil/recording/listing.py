@@ -10,9 +10,8 @@ from typing import Any
 
 from labhil.documents import parse_json
 from labhil.errors import LabhilError, UsageError
-from labhil.recording.contents import FREE_TEXT, how_it_ended, tags_of
+from labhil.recording.contents import FREE_TEXT, how_it_ended, started_at, tags_of
 from labhil.recording.reader import Recording, read_recording
-from labhil.recording.runs import UNIX_TIMES
 
 RESULTS = {"labhil.fit/1": "fit", "labhil.diagnosis/1": "diagnosis", "labhil.campaign/1": "campaign"}
 LARGEST_RESULT = 64 << 20
@@ -110,15 +109,13 @@ def _recording(path: Path) -> Entry:
     except LabhilError as error:
         summary = str(error).removeprefix(f"{path}: ")
         return Entry(path, "recording", written, "unreadable", summary=summary, text=f"{path} {summary}")
-    first = min((int(data.t_acq_ns[0]) for data in recording.streams if len(data)), default=0)
-    start = datetime.fromtimestamp(first * 1e-9, UTC) if first >= UNIX_TIMES else written
     tags = tags_of(recording)
     told = recording.metadata.get("experiment", {})
     summary = ", ".join(told[key] for key in ("name", *FREE_TEXT) if told.get(key))
     return Entry(
         path,
         "recording",
-        start,
+        started_at(recording) or written,
         how_it_ended(recording),
         recording.rig.kind.name if recording.rig is not None else None,
         recording.duration,
