@@ -13,9 +13,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import hashlib
-import os
 import random
-import signal
 import subprocess
 import sys
 import tempfile
@@ -76,7 +74,7 @@ def measure(folder: Path, runs: int, kills: int, seed: int) -> dict[str, Any]:
             after = moments.uniform(4.0, 12.0)
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(after)
-            os.kill(process.pid, signal.SIGKILL)
+            process.kill()  # SIGKILL; nothing where it has just ended
         finished |= ended(folder / "out")
         killed.append({"after_s": round(after, 2), "finished": len(finished)})
     last = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)

@@ -201,10 +201,14 @@ class DeviceRun:
             return
         requested: dict[str, float] = {}
         t_hw_ns: int | None = None
+        newest_ns = int(batch.t_hw_ns[-1])
         for t_ns, values in zip(batch.t_hw_ns.tolist(), batch.values.tolist(), strict=True):
             if self._started_at_ns is None:
                 requested = self._controller.requested(self.elapsed, values)
-                if not self._approach.is_there(requested, values):
+                there = self._approach.is_there(requested, values)
+                # the steps begin where their first setpoint can act: samples that waited on a busy machine
+                # may be as many as a step is long, and it would be over before it was asked for
+                if not there or t_ns < newest_ns:
                     continue
                 self._started_at_ns = t_ns - round(self.elapsed * 1e9)
                 if self._waypoints.rate:
@@ -217,7 +221,7 @@ class DeviceRun:
         if self.done:
             self._running = False
             self._changed.set()
-        elif self._waypoints.is_due(int(batch.t_hw_ns[-1])):
+        elif self._waypoints.is_due(newest_ns):
             timed = t_hw_ns if self._waypoints.rate else None
             self._put(requested, timed)
 
