@@ -13,7 +13,7 @@ from labhil.analysis.results import Reference, accepted_of, diagnosis_json, fit_
 from labhil.analysis.schema import DiagnosisPart, FitPart, checked
 from labhil.analysis.still import refuse_still
 from labhil.diagnose.answer import Diagnosis
-from labhil.diagnose.diagnosis import METHODS, SEARCH, diagnose
+from labhil.diagnose.diagnosis import EVIDENCE, METHODS, diagnose
 from labhil.errors import OptionError, UnknownNameError, UsageError
 from labhil.identify.fit import Fit, Options, fit
 from labhil.identify.further_channels import with_help
@@ -120,7 +120,7 @@ def diagnose_study(
     baseline: Sequence[str] | None = None,
     reference: Reference | None = None,
     progress: Progress = lambda text: None,
-    method: str = SEARCH,
+    method: str = EVIDENCE,
 ) -> DiagnosisResult:
     """Diagnose; ``reference`` is a fit file that stands for the user's simulation, like ``[nominal]``.
 

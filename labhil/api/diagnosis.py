@@ -270,7 +270,7 @@ def diagnose(
     device: str | None = None,
     run: int | None = None,
     seconds: float | None = None,
-    method: str = "search",
+    method: str = "evidence",
     progress: Progress = None,
     warn: Warn = None,
 ) -> Diagnosis:

@@ -167,7 +167,7 @@ def diagnose(
             help="search, or evidence: much faster, for simulated rigs so far.",
             show_default=True,
         ),
-    ] = "search",
+    ] = "evidence",
     plot: Annotated[Path | None, typer.Option(help="Draw it here (PNG).")] = None,
     html: Annotated[Path | None, typer.Option(help="Write a page about it here (HTML).")] = None,
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,

@@ -68,7 +68,7 @@ def diagnose(
     accepted: Accepted | None = None,
     measured: Record | None = None,
     progress: Callable[[str], None] = lambda text: None,
-    method: str = SEARCH,
+    method: str = EVIDENCE,
 ) -> Diagnosis:
     """Find what ``baseline`` lacks on ``searched``, judged on ``held_out``.
 

@@ -35,18 +35,19 @@ class BeamOptions:
         width: structures of each size that are extended by one more term.
         variants: ways of a term to act that larger structures try, the best ones by themselves.
         most_terms: size at which the search ends in any case.
-        hopeless: nats behind the best structure at which a size is not extended any more.
+        patience: sizes in a row without a better structure after which it ends: two terms may help together
+            of which neither does by itself.
     """
 
     width: int = 40
     variants: int = 2
     most_terms: int = 24
-    hopeless: float = 30.0
+    patience: int = 2
 
 
 @dataclass(frozen=True, slots=True)
 class Predicted:
-    """A structure with its log evidence as one linearisation predicts it, and values by parameter key.
+    """A structure with its log evidence as one linearisation predicts it, and the ``sizes`` of its responses.
 
     ``undisturbed`` is the same where no disturbance is possible.
     """
@@ -54,8 +55,8 @@ class Predicted:
     structure: Structure
     log_evidence: float
     undisturbed: float
-    values: Mapping[str, float]
-    choice: Choice = ()
+    choice: Choice
+    sizes: FloatArray
 
 
 def relevance(without: float, remains: float) -> float:
@@ -90,6 +91,7 @@ class Enumeration:
     baseline: frozenset[str]
     candidates: int
     options: BeamOptions = field(default_factory=BeamOptions)
+    known: dict[frozenset[int], float] = field(default_factory=dict)
 
     def evaluate(self, choices: Sequence[Choice]) -> list[Predicted]:
         """Return each structure with its log evidence, prior included, in the order given."""
@@ -107,16 +109,21 @@ class Enumeration:
 
         Both are mean squares, beyond the noise. Terms that others of the structure build on are left out.
         """
-        places = {v.term: list(v.places) for v in choice}
-        rest = self.responses.grams.rest
-        remains = rest([p for own in places.values() for p in own])
-        terms = [self.model.terms[term] for term in places if term in self.model.terms]
+        remains = self._rest(choice)
+        terms = [self.model.terms[v.term] for v in choice if v.term in self.model.terms]
         carried = {t for term in terms for t in term.with_terms}
-        without = {
-            term: rest([p for t, own in places.items() if t != term for p in own])
-            for term in places.keys() - carried
+        return {
+            v.term: relevance(self._rest([other for other in choice if other is not v]), remains)
+            for v in choice
+            if v.term not in carried
         }
-        return {term: relevance(left, remains) for term, left in without.items()}
+
+    def _rest(self, choice: Sequence[Variant]) -> float:
+        """Mean square that a structure leaves, as responses predict it; asked for many times over."""
+        key = frozenset(v.first for v in choice)
+        if key not in self.known:
+            self.known[key] = self.responses.grams.rest([p for v in choice for p in v.places])
+        return self.known[key]
 
     def best(self) -> dict[Structure, Predicted]:
         """Return the best way of every structure that the beam reaches, the empty one included."""
@@ -124,6 +131,7 @@ class Enumeration:
         reached = dict[Structure, Predicted]()
         beam = self._seeds()
         self._note(reached, self.evaluate(beam))
+        waited = 0
         for _ in range(self.options.most_terms):
             extended = self._extended(beam, order, reached)
             if not extended:
@@ -131,7 +139,8 @@ class Enumeration:
             ranked = sorted(self.evaluate(extended), key=lambda p: -p.log_evidence)
             top = max(p.log_evidence for p in reached.values())
             self._note(reached, ranked)
-            if ranked[0].log_evidence < top - self.options.hopeless:
+            waited = 0 if ranked[0].log_evidence > top else waited + 1
+            if waited == self.options.patience:
                 break
             first = {p.structure: p.choice for p in reversed(ranked)}
             beam = [first[s] for s in dict.fromkeys(p.structure for p in ranked)][: self.options.width]
@@ -141,8 +150,7 @@ class Enumeration:
         structure = frozenset(v.term for v in choice)
         ways = sum(log(len(self.responses.variants[v.term])) for v in choice)
         prior = log_prior(self.model, structure, self.candidates) - ways
-        values = self.responses.sizes(choice, sizes)
-        return Predicted(structure, float(value + prior), float(undisturbed + prior), values, choice)
+        return Predicted(structure, float(value + prior), float(undisturbed + prior), choice, sizes)
 
     @staticmethod
     def _note(reached: dict[Structure, Predicted], found: Iterable[Predicted]) -> None:

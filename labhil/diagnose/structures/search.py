@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from itertools import islice
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from labhil.diagnose.judge import ALPHA, Data
 from labhil.diagnose.refit import without
 from labhil.diagnose.screen import Progress, candidates
 from labhil.diagnose.structures.curves import CurveSearch
+from labhil.diagnose.structures.disturbance import Disturbance, noise_beside
 from labhil.diagnose.structures.enumerate import RELEVANCE, Enumeration, Predicted, Structure, closed
 from labhil.diagnose.structures.responses import responses
 from labhil.diagnose.structures.state import (
@@ -29,12 +29,12 @@ from labhil.diagnose.structures.state import (
 )  # fmt: skip
 from labhil.ending import EndedEarly, accept
 from labhil.identify.fitted import Fitted, fit_terms, with_only
-from labhil.identify.noise import lasting_noise
+from labhil.identify.noise import MOST
 from labhil.identify.problem import Problem
 from labhil.identify.score import Score
 from labhil.identify.waves import starts_beside
 from labhil.identify.window_states import FIRST_GROWN, grow_states
-from labhil.identify.windows import fit_windows
+from labhil.identify.windows import fit_windows, noise_of
 from labhil.physics.extra_force import Yielding
 from labhil.physics.model import index_of
 from labhil.signals import FloatArray
@@ -57,6 +57,8 @@ class Options:
             effect that is smaller than what is missing beside it cannot be told from that.
         few: terms beside the best structure's up to which one is refitted for what it promises where nothing
             disturbs: from afar a linear response understates a term, but many of them stand in for anything.
+        climbed: terms up to which the best structure's parts are looked at, too: of more of them the whole
+            was reached by way of these.
     """
 
     horizons: tuple[float, ...] = (0.375, 1.5, 3.0)
@@ -66,6 +68,7 @@ class Options:
     claim: float = 5.0
     relevance: float = RELEVANCE
     few: int = 2
+    climbed: int = 4
 
 
 OUTWEIGHED = np.sqrt(2.0)
@@ -84,9 +87,9 @@ class Stage:
     state: SearchState
 
     @property
-    def remains(self) -> float:
-        """Noise levels that the best structure leaves."""
-        return self.state.refitted[self.state.best].fitted.noise
+    def best(self) -> Fitted:
+        """The fit of the best structure."""
+        return self.state.refitted[self.state.best].fitted
 
     @property
     def leading(self) -> list[Fitted]:
@@ -122,23 +125,68 @@ class StructureSearch:
         state = SearchState(least=self.options.relevance)
         for fitted in begin:
             self._enter(state, fitted)
-        looked = set[Structure]()
-        for _ in range(self.options.rounds):
-            best = state.best
-            if best not in looked:
-                looked.add(best)
-                near = state.refitted[best].fitted
-                self.progress(f"evidence of all structures beside {', '.join(near.terms)}")
-                state.view = self._at(near)
-                state.predicted = state.view.best()
-                self._refit_narrowed(state)
-            if not self._refit_promising(state) and state.best in looked:
-                if not state.best:
-                    self._refit_singles(state)
-                if state.best in looked:
-                    break
+        self._settle(state)
+        if not state.likeliest:
+            self._refit_singles(state)
+            self._settle(state)
+        while len(state.likeliest) <= self.options.climbed and self._climb(state):
+            self._settle(state)
         self._drop_irrelevant(state)
         return state
+
+    def _settle(self, state: SearchState) -> None:
+        """Look at the best structure and refit what is likelier there, until that is the best one itself."""
+        for _ in range(self.options.rounds):
+            looked = state.likeliest in state.looked
+            if not looked:
+                self._look(state, state.likeliest)
+                self._refit_narrowed(state)
+            if not self._refit_promising(state) and (looked or state.likeliest in state.looked):
+                break
+
+    def _look(self, state: SearchState, structure: Structure) -> None:
+        """Linearise at a refitted structure, and compare all others there."""
+        near = state.refitted[structure].fitted
+        self.progress(f"evidence of all structures beside {', '.join(near.terms)}")
+        state.looked.add(structure)
+        state.view = self._at(near)
+        state.predicted = state.view.best()
+
+    def _climb(self, state: SearchState) -> bool:
+        """Look at structures with fewer terms than the best one, until one better is found; whether one was.
+
+        What two terms do together may be seen only where one of them is, and what takes the place of one only
+        where that is not.
+        """
+        before = state.likeliest
+        for size in range(1, len(before)):
+            likely = [p for s, p in state.predicted.items() if len(s) == size and s not in state.refitted]
+            if likely:
+                self._refit_predicted(state, max(likely, key=lambda p: p.log_evidence))
+            known = [s for s in state.refitted if len(s) == size]
+            if known and self._look_beside(state, max(known, key=lambda s: state.refitted[s].log_evidence)):
+                return True
+        for term in sorted(before):
+            reduced = frozenset(without(self.data.model, tuple(before), term))
+            if reduced not in state.refitted:
+                self._refit_and_enter(state, state.refitted[before].fitted, reduced, {})
+            if self._look_beside(state, reduced):
+                return True
+        return False
+
+    def _look_beside(self, state: SearchState, structure: Structure) -> bool:
+        """Look at another structure than the best one; whether a better one was found there."""
+        if structure in state.looked:
+            return False
+        before = state.likeliest
+        self._look(state, structure)
+        longer = [p for s, p in state.predicted.items() if structure < s and s not in state.refitted]
+        if longer:  # those that stand out from here by one more term, what that builds on included
+            fewest = min(len(p.structure) for p in longer)
+            beside = [p for p in longer if len(p.structure) == fewest]
+            self._refit_predicted(state, max(beside, key=lambda p: p.log_evidence))
+        self._refit_promising(state)
+        return state.likeliest != before
 
     def _refit_singles(self, state: SearchState) -> None:
         """Refit every single term beside a baseline far from the data, where responses tell little."""
@@ -149,20 +197,20 @@ class StructureSearch:
             structure = frozenset(terms)
             if structure not in state.refitted:
                 self.progress(f"refitting {', '.join(terms)}")
-                self._enter(state, self._refit(near, structure, state.values_of(structure)))
+                self._refit_and_enter(state, near, structure, state.values_of(structure))
 
     def _drop_irrelevant(self, state: SearchState) -> None:
         """Refit the likeliest structure without its terms that explain too little, the least one first."""
-        structure = max(state.refitted, key=lambda s: state.refitted[s].log_evidence)
+        structure = state.likeliest
         while least_relevance(shares := state.relevance(structure)) < state.least:
             near = state.refitted[structure]
             structure = structure - {min(shares, key=lambda term: shares[term])}
             if structure not in state.refitted:
-                self._enter(state, self._refit(near.fitted, structure, {}))
+                self._refit_and_enter(state, near.fitted, structure, {})
 
     def _refit_narrowed(self, state: SearchState) -> None:
         """Refit the best structure with what a term becomes without its width, begun at that term's size."""
-        model, best = self.data.model, state.best
+        model, best = self.data.model, state.likeliest
         theta, places = state.refitted[best].fitted.theta, index_of(model.parameters)
         for term in best:
             narrow = model.terms[term].narrow
@@ -170,7 +218,7 @@ class StructureSearch:
                 continue
             size, own = (places[model.terms[key].parameters[0].key] for key in (narrow, term))
             values = {model.parameters[size].key: max(float(theta[own]), 0.0)}
-            self._enter(state, self._refit(state.refitted[best].fitted, (best - {term}) | {narrow}, values))
+            self._refit_and_enter(state, state.refitted[best].fitted, (best - {term}) | {narrow}, values)
 
     def _at(self, fitted: Fitted, absent: Sequence[str] | None = None) -> Enumeration:
         """What may be compared where a fit stands: its own terms, and all others or those ``absent``."""
@@ -179,30 +227,39 @@ class StructureSearch:
 
     def _refit_promising(self, state: SearchState) -> bool:
         """Refit the most promising structures that were not refitted yet; whether there were any."""
-        likely = max(r.log_evidence for r in state.relevant.values())
-        plain = max(r.undisturbed for r in state.relevant.values())
-        most = len(state.best) + self.options.few
+        likely = max(r.log_evidence for r in state.refitted.values())
+        plain = max(r.undisturbed for r in state.refitted.values())
+        most = len(state.likeliest) + self.options.few
 
         def promise(p: Predicted) -> float:
             by_itself = p.undisturbed - plain if len(p.structure) <= most else -np.inf
             return float(max(p.log_evidence - likely, by_itself))
 
         new = [p for s, p in state.predicted.items() if s not in state.refitted]
-        promising = sorted((p for p in new if promise(p) > -self.options.margin), key=lambda p: -promise(p))
-        waiting = list(islice((p for p in promising if self._may_matter(state, p)), self.options.refits))
+        promising = [p for p in new if promise(p) > -self.options.margin]
+        waiting = sorted(promising, key=lambda p: -promise(p))[: self.options.refits]
         for predicted in waiting:
-            self.progress(f"refitting {', '.join(sorted(predicted.structure)) or 'the baseline'}")
-            near = state.refitted[state.best].fitted
-            self._enter(state, self._refit(near, predicted.structure, predicted.values))
+            self._refit_predicted(state, predicted)
         return bool(waiting)
 
-    @staticmethod
-    def _may_matter(state: SearchState, p: Predicted) -> bool:
-        """Whether each term is predicted to explain enough; of one more term only its refit tells."""
-        one_more = len(p.structure - state.best) <= 1
-        return (
-            one_more or state.view is None or least_relevance(state.view.relevance(p.choice)) >= state.least
-        )
+    def _refit_predicted(self, state: SearchState, predicted: Predicted) -> None:
+        """Refit a structure from the fit where it was predicted, with the values that it has there."""
+        self.progress(f"refitting {', '.join(sorted(predicted.structure)) or 'the baseline'}")
+        assert state.view is not None
+        near = state.view.responses.fitted
+        self._refit_and_enter(state, near, predicted.structure, state.values_of(predicted.structure))
+
+    def _refit_and_enter(
+        self, state: SearchState, near: Fitted, structure: Structure, values: Mapping[str, float]
+    ) -> None:
+        """Refit a structure from a fit nearby, and where a part of it fits better, from that one, too."""
+        fitted = self._refit(near, structure, values)
+        parts = [r.fitted for s, r in state.refitted.items() if s < structure]
+        best = min(parts, key=lambda part: part.solution.cost, default=fitted)
+        if best.solution.cost < fitted.solution.cost:
+            again = self._refit(best, structure, values)
+            fitted = min((fitted, again), key=lambda each: each.solution.cost)
+        self._enter(state, fitted)
 
     def _refit(self, near: Fitted, structure: Structure, values: Mapping[str, float]) -> Fitted:
         """Fit a structure from where a fit stands, with these values by key."""
@@ -239,21 +296,25 @@ def search_structures(
 ) -> Found:
     """Find the likeliest terms beside a fitted baseline, by one evidence."""
     options = options or Options()
-    correlation = lasting_noise(data.model, baseline.theta, data.search, data.sigma).correlation
+    data, correlation = _in_noise_of(data, baseline)
     finished: list[Stage] = []
     complete = True
     try:
         nominal = {size.key: size.nominal for size in given_way(data, baseline)}
         with ThreadPoolExecutor(cores()) as executor:
-            for stage in _stages(data, options):
-                begin = finished[-1].leading if finished else [baseline]
+            for length in _lengths(data, options):
+                begin = [baseline]
+                if finished:
+                    begin = finished[-1].leading
+                    data, correlation = _in_noise_of(data, finished[-1].best)
+                stage = replace(data, window=length)
                 if data.model.state_names:
                     begin = [on_windows(stage, fitted) for fitted in begin]
                 search = StructureSearch(
                     stage, baseline.terms, correlation, executor, progress, options, nominal
                 )
                 finished.append(Stage(stage, search.run(begin)))
-                if finished[-1].remains > OUTWEIGHED:
+                if finished[-1].best.noise > OUTWEIGHED:
                     break
     except EndedEarly:
         accept()
@@ -268,12 +329,22 @@ def search_structures(
     return _with_curve(data, found, finished[-1].data.window, correlation, progress) if complete else found
 
 
-def _stages(data: Data, options: Options) -> list[Data]:
-    """The data on the windows of each stage; inverse dynamics has no windows and one stage."""
+def _lengths(data: Data, options: Options) -> list[float]:
+    """Length (s) of the windows of each stage; inverse dynamics has no windows and one stage."""
     if not data.model.state_names:
-        return [data]
-    lengths = (min(h * data.model.horizon, data.search.longest) for h in options.horizons)
-    return [replace(data, window=length) for length in dict.fromkeys(lengths)]
+        return [data.window]
+    return list(dict.fromkeys(min(h * data.model.horizon, data.search.longest) for h in options.horizons))
+
+
+def _in_noise_of(data: Data, fitted: Fitted) -> tuple[Data, FloatArray]:
+    """The data in units of the noise that a fit leaves beside a disturbance, and its correlation (c,)."""
+    if not data.model.state_names:
+        return data, np.zeros(len(data.sigma))
+    disturbance = Disturbance.grid(1)
+    noise = noise_beside(fitted.problem, fitted.solution.residuals, disturbance)
+    least = noise_of(data.search)
+    sigma = np.clip(noise.sigma, least, MOST * least)
+    return replace(data, sigma=sigma), noise.correlation
 
 
 def _with_curve(
@@ -311,12 +382,12 @@ def _unplaced(data: Data, beside: Fitted) -> Fitted:
 
 
 def on_windows(data: Data, fitted: Fitted) -> Fitted:
-    """Refit on the data's windows, beginning at states that fit these with the parameters as they are."""
-    if abs(fitted.window - data.window) < 1e-9:
-        return fitted
+    """Refit on the data's windows and noise, beginning at states that fit these with the parameters kept."""
     old = fitted.problem
+    if abs(fitted.window - data.window) < 1e-9 and np.array_equal(old.sigma, data.sigma):
+        return fitted
     windows = fit_windows(data.search, data.window)
-    problem = Problem(old.model, data.search, windows, old.free, fitted.theta, old.sigma)
+    problem = Problem(old.model, data.search, windows, old.free, fitted.theta, data.sigma)
     states = grow_states(problem, fitted.solution.point.z, FIRST_GROWN * data.model.horizon)
     return fit_terms(
         data.model, data.search, fitted.terms, data.window, data.sigma, start=fitted.theta, new_terms=(),

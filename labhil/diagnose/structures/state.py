@@ -36,6 +36,7 @@ class SearchState:
     refitted: dict[Structure, Refitted] = field(default_factory=dict)
     predicted: dict[Structure, Predicted] = field(default_factory=dict)
     view: Enumeration | None = None
+    looked: set[Structure] = field(default_factory=set)
 
     @property
     def relevant(self) -> dict[Structure, Refitted]:
@@ -43,8 +44,13 @@ class SearchState:
         return {s: r for s, r in self.refitted.items() if least_relevance(self.relevance(s)) >= self.least}
 
     @property
+    def likeliest(self) -> Structure:
+        """The refitted structure with the largest evidence."""
+        return max(self.refitted, key=lambda s: self.refitted[s].log_evidence)
+
+    @property
     def best(self) -> Structure:
-        """The one of them with the largest evidence."""
+        """The one of the relevant structures with the largest evidence."""
         known = self.relevant
         return max(known, key=lambda s: known[s].log_evidence)
 
@@ -61,7 +67,9 @@ class SearchState:
     def values_of(self, structure: Structure) -> Mapping[str, float]:
         """Values by key that the newest linearisation predicts of a structure, if any."""
         predicted = self.predicted.get(structure)
-        return {} if predicted is None else predicted.values
+        if predicted is None or self.view is None:
+            return {}
+        return self.view.responses.sizes(predicted.choice, predicted.sizes)
 
     def log_evidence(self) -> dict[Structure, float]:
         """Log evidence of what was visited, but for likelier structures whose terms explain too little."""
