@@ -27,6 +27,9 @@ from labhil.signals import FloatArray
 CORNER = 0.67
 """Cycles per scored horizon up to which the response to a random force is flat."""
 
+SLOW = 4
+"""One of so many parts of a spectrum, the slowest one, says nothing of noise."""
+
 TORQUE_SIZES = np.array([0.0, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0])
 """Of a slow torque in each part of the spectrum, in units of the noise there."""
 
@@ -130,22 +133,22 @@ def noise_beside(problem: Problem, residuals: FloatArray, disturbance: Disturban
     """Noise of each channel, told apart from a disturbance by its spectrum.
 
     A model that lacks something leaves slow errors, noise quick ones. Size and correlation are those under
-    which the mean spectrum of the windows' residuals (N·c,) is likeliest (Whittle 1953); what the windows'
-    states take out, the slowest parts, is left out.
+    which the spectrum of the windows' residuals (N·c,) is likeliest (Whittle 1953), but for its slowest
+    parts: most of what a model lacks is there, and the windows' states take out some.
     """
     channels, edges = len(problem.sigma), np.array(_edges(problem))
     spectrum = spectra(problem, residuals[:, None])[:, 0].reshape(-1, channels) ** 2
     counts = np.diff(edges)
-    n, skipped = int(counts.min()), len(problem.model.state_names)
+    n = int(counts.min())
+    skipped = max(n // SLOW, len(problem.model.state_names))
     rows = (edges[:-1, None] + np.arange(skipped, n)).ravel()
     power = np.median(spectrum[rows].reshape(len(counts), n - skipped, channels), axis=0) / MEDIAN
-    shapes = _noise_shapes(n)[:, None, skipped:]
     force = response_to_a_force(problem).reshape(-1, channels)[skipped:n, 0] ** 2
+    shape = _noise_shapes(n)[:, None, skipped:] + disturbance.size[:, None] ** 2 * force
     size, correlation = np.empty(channels), np.empty(channels)
     for c in range(channels):
-        shape = shapes + disturbance.size[:, None] ** 2 * force
-        scale = np.mean(power[:, c] / shape, axis=2)
-        unlikely = np.log(scale) + np.mean(np.log(shape), axis=2)
+        scale = np.mean(power[:, c] / shape, axis=-1)
+        unlikely = np.log(scale) + np.mean(np.log(shape), axis=-1)
         best = np.unravel_index(np.argmin(unlikely), unlikely.shape)
         size[c], correlation[c] = np.sqrt(scale[best]), CORRELATIONS[best[0]]
     return Noise(problem.sigma * size, correlation)

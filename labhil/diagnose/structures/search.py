@@ -29,7 +29,7 @@ from labhil.diagnose.structures.state import (
 )  # fmt: skip
 from labhil.ending import EndedEarly, accept
 from labhil.identify.fitted import Fitted, fit_terms, with_only
-from labhil.identify.noise import MOST
+from labhil.identify.noise import MOST, lasting_noise
 from labhil.identify.problem import Problem
 from labhil.identify.score import Score
 from labhil.identify.waves import starts_beside
@@ -296,7 +296,7 @@ def search_structures(
 ) -> Found:
     """Find the likeliest terms beside a fitted baseline, by one evidence."""
     options = options or Options()
-    data, correlation = _in_noise_of(data, baseline)
+    data, correlation = _told_from_what_is_missing(data, baseline)
     finished: list[Stage] = []
     complete = True
     try:
@@ -306,7 +306,7 @@ def search_structures(
                 begin = [baseline]
                 if finished:
                     begin = finished[-1].leading
-                    data, correlation = _in_noise_of(data, finished[-1].best)
+                    data, correlation = _left_by(data, finished[-1].best)
                 stage = replace(data, window=length)
                 if data.model.state_names:
                     begin = [on_windows(stage, fitted) for fitted in begin]
@@ -325,7 +325,7 @@ def search_structures(
     found = replace(_concluded(finished[-1], options, looks), complete=complete)
     if found.missing and not predicts_better(*(data.judge(f.theta) for f in (found.baseline, found.final))):
         found = found.nothing
-    found = replace(found, missing=_validated(finished[-1], found))
+    found = _borne_out(finished[-1], found)
     return _with_curve(data, found, finished[-1].data.window, correlation, progress) if complete else found
 
 
@@ -336,15 +336,19 @@ def _lengths(data: Data, options: Options) -> list[float]:
     return list(dict.fromkeys(min(h * data.model.horizon, data.search.longest) for h in options.horizons))
 
 
-def _in_noise_of(data: Data, fitted: Fitted) -> tuple[Data, FloatArray]:
-    """The data in units of the noise that a fit leaves beside a disturbance, and its correlation (c,)."""
+def _told_from_what_is_missing(data: Data, baseline: Fitted) -> tuple[Data, FloatArray]:
+    """The data in units of the noise beside what a baseline lacks, and the noise's correlation (c,)."""
     if not data.model.state_names:
         return data, np.zeros(len(data.sigma))
-    disturbance = Disturbance.grid(1)
-    noise = noise_beside(fitted.problem, fitted.solution.residuals, disturbance)
+    noise = noise_beside(baseline.problem, baseline.solution.residuals, Disturbance.grid(1))
     least = noise_of(data.search)
-    sigma = np.clip(noise.sigma, least, MOST * least)
-    return replace(data, sigma=sigma), noise.correlation
+    return replace(data, sigma=np.clip(noise.sigma, least, MOST * least)), noise.correlation
+
+
+def _left_by(data: Data, fitted: Fitted) -> tuple[Data, FloatArray]:
+    """The data in units of the noise that a fit leaves on short windows, and the noise's correlation (c,)."""
+    noise = lasting_noise(data.model, fitted.theta, data.search, noise_of(data.search))
+    return replace(data, sigma=noise.sigma), noise.correlation
 
 
 def _with_curve(
@@ -428,6 +432,19 @@ def _with_only(stage: Stage, structure: Structure) -> Fitted:
 def _step(term: str, odds: float, probability: float) -> Step:
     """A claim as the searched data make it; held-out data are asked later."""
     return Step((term,), Evidence(-2.0 * odds, 1.0, 0.0), float(np.exp(-odds)), True, probability)
+
+
+def _borne_out(stage: Stage, found: Found) -> Found:
+    """Only what held-out data bear out, too; without what they bear out least, the others are asked anew."""
+    baseline = frozenset(found.baseline.terms)
+    while found.missing:
+        steps = _validated(stage, found)
+        least = max(steps, key=lambda step: step.evidence.p_value)
+        if least.evidence.p_value < ALPHA:
+            return replace(found, missing=steps)
+        kept = frozenset(without(stage.data.model, found.final.terms, least.terms[0])) - baseline
+        found = found.ending(_with_only(stage, kept), tuple(s for s in steps if s.terms[0] in kept))
+    return found
 
 
 def _validated(stage: Stage, found: Found) -> tuple[Step, ...]:
