@@ -270,7 +270,6 @@ def diagnose(
     device: str | None = None,
     run: int | None = None,
     seconds: float | None = None,
-    method: str = "evidence",
     progress: Progress = None,
     warn: Warn = None,
 ) -> Diagnosis:
@@ -292,7 +291,6 @@ def diagnose(
         device: Which device, where recordings hold several.
         run: Which run, from 1, where a file holds several.
         seconds: End after so many seconds, with the best so far.
-        method: ``search``, or ``evidence``: much faster, for simulated rigs so far.
         progress: A function of a line about what is being done, or True for a line on stderr.
         warn: A function of the lines that say, before the work begins, what the recordings lack.
 
@@ -324,6 +322,5 @@ def diagnose(
             baseline=names_of(baseline, "baseline"),
             reference=reference_of(reference, "reference"),
             progress=say,
-            method=method,
         )
     return Diagnosis(found.json, found, "" if found.diagnosis.complete else deadline.reason)

@@ -160,14 +160,6 @@ def diagnose(
         float | None,
         typer.Option(metavar="N", help="End after so many s, with the best so far (so does Ctrl+C)."),
     ] = None,
-    method: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME",
-            help="search, or evidence: much faster, for simulated rigs so far.",
-            show_default=True,
-        ),
-    ] = "evidence",
     plot: Annotated[Path | None, typer.Option(help="Draw it here (PNG).")] = None,
     html: Annotated[Path | None, typer.Option(help="Write a page about it here (HTML).")] = None,
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
@@ -195,7 +187,6 @@ def diagnose(
             device=device,
             run=run,
             seconds=seconds,
-            method=method,
             progress=say,
             warn=tell,
         )

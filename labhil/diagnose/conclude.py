@@ -6,23 +6,21 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
-from labhil.diagnose.beyond import MISNAMED, SURELY, beyond, imitated
 from labhil.diagnose.found import Found
+from labhil.diagnose.joint_curves import joint_curves
 from labhil.diagnose.judge import Data
-from labhil.diagnose.rest import UNEXPLAINED, left_by, unexplained
-from labhil.diagnose.search import on_several_windows
-from labhil.diagnose.unmodelled import Unmodelled
+from labhil.diagnose.rest import UNEXPLAINED, unexplained
+from labhil.diagnose.unmodelled import Unmodelled, stated
 from labhil.identify.noise import lasting_noise
 from labhil.identify.score import Score, score, scored_horizon
 from labhil.identify.windows import noise_of
 from labhil.physics.model import Metric, Model
 from labhil.signals import FloatArray
 
-NOTICED, NOTICEABLY, BEYOND_DOUBT = 1.05, 1.02, -50.0
-"""What the metric does not show asks for more evidence: where the baseline leaves fewer than so many noise
-floors of held-out data, and no error is so many times larger without what was found, this ΔBIC.
+SURELY, MISNAMED = 2.5, 1.5
+"""RMSE over the noise floor that no noise makes, and that doubts what was found.
 
-Noise is never quite what it is taken for: the rounding of a part that rests at a stop is the same each time.
+The floor of a few windows is not well known: each has only one error of its initial state.
 """
 
 
@@ -88,32 +86,19 @@ class HeldOutScores:
         return cls(before, marked(model, theta) if found.missing else before, noise.sigma, marked)
 
 
-def concluded(data: Data, found: Found, left: FloatArray, progress: Callable[[str], None]) -> Concluded:
-    """Judge what was found on held-out data, and look for a force without a name where that is not enough."""
+def conclude(data: Data, found: Found, left: FloatArray, progress: Callable[[str], None]) -> Concluded:
+    """Score what was found on held-out data, before and after on the same windows and of the same noise.
+
+    Of inverse dynamics every joint that still leaves much has a curve of its own, by linear algebra.
+    """
     progress("scores, intervals and exclusion limits")
-    model, marked = data.model, HeldOutScores.of(data, found)
-    before, after = marked.before, marked.after
-    if found.missing and _unnoticed(found, before, after):
-        found, after, left = found.nothing, before, left_by(data, found.baseline)
-    more = leaves_more(data, found, left, after.excess)
-    if not found.complete:
-        return Concluded(data, found, (), more, before, after, marked.sigma)
-    if more:
-        progress("a force over each coordinate in turn, for no named effect explains the rest")
-    look = beyond if more or model.metric is Metric.INVERSE_DYNAMICS else imitated
-    several = on_several_windows(data, found)
-    kept, curves = look(data, several, after.excess)
-    kept = found if kept is several and not curves else kept
-    end = Concluded(data, kept, curves, more, before, after, marked.sigma)
-    return replace(end, after=marked.of_model(*end.accepted)) if curves or kept is not found else end
-
-
-def _unnoticed(found: Found, before: Score, after: Score) -> bool:
-    """Whether the metric shows no mismatch, and the searched data not beyond doubt."""
-    weak = all(step.evidence.delta_bic > BEYOND_DOUBT for step in found.missing)
-    pairs = zip(before.channels, after.channels, strict=True)
-    better = any(one.rmse > NOTICEABLY * other.rmse for one, other in pairs)
-    return weak and not better and before.excess < NOTICED
+    marked = HeldOutScores.of(data, found)
+    more = leaves_more(data, found, left, marked.after.excess)
+    curves: tuple[Unmodelled, ...] = () if found.curve is None else (stated(data, found.curve),)
+    if data.model.metric is Metric.INVERSE_DYNAMICS and found.complete:
+        curves = joint_curves(data, found)
+    end = Concluded(data, found, curves, more, marked.before, marked.after, marked.sigma)
+    return replace(end, after=marked.of_model(*end.accepted)) if curves else end
 
 
 def leaves_more(data: Data, found: Found, left: FloatArray, excess: float) -> bool:

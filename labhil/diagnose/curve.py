@@ -15,10 +15,9 @@ from labhil.identify.penalised import Projected, minimise
 from labhil.identify.problem import Point, Problem
 from labhil.identify.spline import Spline
 from labhil.identify.statistics import Estimate, estimates
-from labhil.identify.window_states import fit_states, search_states
+from labhil.identify.window_states import fit_states
 from labhil.identify.windows import fit_windows
 from labhil.physics.extra_force import Over, Unplaced, Yielding
-from labhil.physics.model import Windows
 from labhil.physics.terms import Yardstick
 from labhil.signals import FloatArray
 
@@ -48,9 +47,6 @@ NO_WORSE = 1.01
 
 EXCHANGED = 3
 """Steps after that exchange."""
-
-DEEPENED = 2
-"""Rounds of new states and a new curve."""
 
 BLOCK = 1.0
 """Stretch of inverse dynamics, s: longer than what it leaves remembers, shorter than a pass of the joint."""
@@ -95,23 +91,17 @@ class Curved:
         return len(self.fitted.problem.windows) if unseen else 0
 
 
-def shortened(final: Fitted, share: float) -> Fitted:
-    """The same values on windows that are shorter by so much, each with the state that fits it best."""
+def in_blocks(final: Fitted) -> Fitted:
+    """The same fit of a model without states in stretches of which some can be left out in turn."""
     old = final.problem
-    window = share * length_of(final)
-    windows = fit_windows(old.record, window)
+    windows = fit_windows(old.record, BLOCK)
     problem = Problem(old.model, old.record, windows, old.free, final.theta, old.sigma)
     z = problem.start().z
     states = fit_states(problem, z, problem.guess)
     point = Point(z, states)
     residuals = problem.residuals(point)
     ended = Solution(point, residuals, 0, True)
-    return replace(final, problem=problem, solution=ended, window=window, rivals=())
-
-
-def in_blocks(final: Fitted) -> Fitted:
-    """The same fit of a model without states in stretches of which some can be left out in turn."""
-    return shortened(final, BLOCK / length_of(final))
+    return replace(final, problem=problem, solution=ended, window=BLOCK, rivals=())
 
 
 def length_of(fitted: Fitted) -> float:
@@ -186,26 +176,6 @@ def refined(curved: Curved, iterations: int) -> Curved:
     """The same curve by the simulation itself, its smoothness chosen anew where that ends."""
     once = minimised(curved, None, iterations)
     return minimised(once, None, iterations)
-
-
-def deepened(curved: Curved, iterations: int) -> Curved:
-    """The same curve where windows have looked for better states: one in a wrong minimum bends the curve."""
-    random = np.random.default_rng(0)
-    for _ in range(DEEPENED):
-        problem, point = curved.fitted.problem, curved.fitted.solution.point
-        start = Point(point.z, search_states(problem, point.z, point.states, random))
-        curved = minimised(curved, start, iterations)
-    return curved
-
-
-def lengthened(curved: Curved, windows: Windows, iterations: int) -> Curved:
-    """The same curve refitted on longer windows."""
-    old = curved.fitted.problem
-    problem = Problem(curved.model, old.record, windows, old.free, curved.fitted.theta, old.sigma)
-    z = curved.fitted.solution.point.z
-    start = Point(z, fit_states(problem, z, problem.guess))
-    onward = replace(curved, fitted=replace(curved.fitted, problem=problem))
-    return minimised(onward, start, iterations)
 
 
 def minimised(curved: Curved, start: Point | None, iterations: int) -> Curved:

@@ -13,18 +13,17 @@ from scipy import stats
 from labhil.diagnose import telling
 from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.answer import Change, Diagnosis, Undecided
-from labhil.diagnose.beyond import strongest
 from labhil.diagnose.collapsed import given_way, kept_near, needed
-from labhil.diagnose.conclude import Concluded, concluded
+from labhil.diagnose.conclude import Concluded, conclude
 from labhil.diagnose.evidence import bic, effective_samples
 from labhil.diagnose.found import Found
 from labhil.diagnose.intake import Fault, usable
+from labhil.diagnose.joint_curves import strongest
 from labhil.diagnose.judge import NEEDED_BIC, TOGETHER, Data
 from labhil.diagnose.load import with_load
+from labhil.diagnose.refit import on_windows
 from labhil.diagnose.remainder import find_remainder
 from labhil.diagnose.rest import left_by, unexplained
-from labhil.diagnose.search import onward, search
-from labhil.diagnose.structures.conclude import conclude
 from labhil.diagnose.structures.search import search_structures
 from labhil.diagnose.timing import all_faults
 from labhil.diagnose.unmodelled import Unmodelled
@@ -43,13 +42,6 @@ from labhil.signals import FloatArray
 SEARCH_WINDOW_IN_HORIZONS = 0.375
 FIRST_WINDOW_IN_HORIZONS = 0.1875
 FALSE_ALARM = 5e-4
-SEARCH, EVIDENCE = "search", "evidence"
-Search = Callable[[Data, Fitted, Callable[[str], None]], Found]
-Conclude = Callable[[Data, Found, FloatArray, Callable[[str], None]], Concluded]
-METHODS: Mapping[str, tuple[Search, Conclude]] = {
-    SEARCH: (search, concluded),
-    EVIDENCE: (search_structures, conclude),
-}
 SHOWN = 1.1
 """RMSE over the noise floor, on held-out data, that asks for a wider search."""
 
@@ -68,7 +60,6 @@ def diagnose(
     accepted: Accepted | None = None,
     measured: Record | None = None,
     progress: Callable[[str], None] = lambda text: None,
-    method: str = EVIDENCE,
 ) -> Diagnosis:
     """Find what ``baseline`` lacks on ``searched``, judged on ``held_out``.
 
@@ -95,10 +86,8 @@ def diagnose(
         reason = "ended early, before anything was searched"
         stated = _unsearched(data, base, "not_decidable", reason, faults, heldout_is_test, began)
         return replace(stated, complete=False)
-    look = partial(
-        _found, terms=terms, reference=reference, accepted=accepted, progress=progress, method=method
-    )
-    end = _concluded(data, look(data, base), look, progress, METHODS[method][1])
+    look = partial(_found, terms=terms, reference=reference, accepted=accepted, progress=progress)
+    end = _concluded(data, look(data, base), look, progress)
     found, curves, told, claimed = end.found, end.curves, strongest(end.curves), end.doubts
     final = _rows(found, curves, accepted)
     changed = _changes(final, reference, accepted)
@@ -165,7 +154,6 @@ def _concluded(
     found: Found,
     look: Callable[[Data, Fitted], Found],
     progress: Callable[[str], None],
-    how: Conclude,
 ) -> Concluded:
     """The end of a diagnosis; of one that is ended early, what its first search found."""
     try:
@@ -173,12 +161,12 @@ def _concluded(
             data, found, left = _looked_wider(data, found, look, progress)
             # sizes that were kept near nominal stay there
             data = replace(data, model=found.final.problem.model)
-            return how(data, found, left, progress)
+            return conclude(data, found, left, progress)
     except EndedEarly:
         accept()
     found = replace(found, complete=False)
     data = replace(data, model=found.final.problem.model)
-    return how(data, found, left_by(data, found.final), progress)
+    return conclude(data, found, left_by(data, found.final), progress)
 
 
 def _found(
@@ -189,29 +177,27 @@ def _found(
     reference: Mapping[str, float] | None,
     accepted: Accepted | None,
     progress: Callable[[str], None],
-    method: str,
 ) -> Found:
     """Search once; with values of the user's own sizes, once more with these held."""
-    by, _ = METHODS[method]
-    found = by(data, base, progress)
+    found = search_structures(data, base, progress)
     try:
         if not found.complete:
             return found
-        found = _with_credible_sizes(data, found, by, progress)
+        found = _with_credible_sizes(data, found, progress)
         found = with_load(data, found, accepted)
         sizes = _sizes(data.model, reference) if reference is not None and not found.errors else frozenset()
         if not sizes:
             return found
         progress("the same with the sizes of the given model held")
         held = replace(data, held=sizes)
-        again = by(held, fit_baseline(held, terms), progress)
+        again = search_structures(held, fit_baseline(held, terms), progress)
     except EndedEarly:
         accept()
         return replace(found, complete=False)
     return _simpler(found, again) if again.complete else replace(found, complete=False)
 
 
-def _with_credible_sizes(data: Data, found: Found, by: Search, progress: Callable[[str], None]) -> Found:
+def _with_credible_sizes(data: Data, found: Found, progress: Callable[[str], None]) -> Found:
     """What was found; where the baseline's own sizes gave way, once more with these kept near nominal.
 
     The second answer has to be far likelier on the searched data: a nominal value may be wrong.
@@ -227,7 +213,7 @@ def _with_credible_sizes(data: Data, found: Found, by: Search, progress: Callabl
         return found
     progress(f"the same with {', '.join(size.key for size in lost)} near nominal")
     found = replace(found, collapsed=lost)
-    credible = by(near, baseline, progress)
+    credible = search_structures(near, baseline, progress)
     if not credible.complete:
         return replace(found, complete=False)
     if not credible.missing or not _far_likelier(
@@ -240,7 +226,7 @@ def _with_credible_sizes(data: Data, found: Found, by: Search, progress: Callabl
 def _onward_like(data: Data, fitted: Fitted, like: Fitted) -> Fitted:
     """The one fit on the windows of the other."""
     own = replace(data, model=fitted.problem.model, window=like.window)
-    return fitted if fitted.window == like.window else onward(own, fitted)
+    return on_windows(own, fitted)
 
 
 def _looked_wider(
@@ -282,7 +268,7 @@ def _still_needed(wider: Data, found: Found, again: Found) -> bool:
     """
     if not found.missing:
         return False
-    return _far_likelier(onward(replace(wider, window=again.final.window), found.final), again.final)
+    return _far_likelier(on_windows(replace(wider, window=again.final.window), found.final), again.final)
 
 
 def _marked(data: Data, found: Found) -> Score:

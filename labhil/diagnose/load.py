@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from labhil.diagnose.accepted import Accepted
-from labhil.diagnose.foretold import compare
+from labhil.diagnose.evidence import Evidence, best_heldout_gain, bic, effective_samples, search_p_value
 from labhil.diagnose.found import Found, Step
 from labhil.diagnose.judge import Data, supported
 from labhil.diagnose.refit import refit
@@ -114,7 +114,10 @@ def _told(data: Data, model: Loadable, found: Found, load: Load, accepted: Accep
     begin = replace(found.final, theta=theta)
     final = refit(held, begin, (*found.final.terms, TERM), ())
     bare = refit(held, begin, found.final.terms, ())
-    evidence, p_search = compare(held, bare, final, held.judge(bare.theta), found.looks)
+    effective = effective_samples(final)
+    gain, p_value = best_heldout_gain(held.judge(bare.theta), held.judge(final.theta))
+    evidence = Evidence(bic(final, effective) - bic(bare, effective), p_value, gain)
+    p_search = search_p_value(bare, final, effective, found.looks)
     if not supported(evidence, p_search):
         return found
     baseline = refit(held, begin, found.baseline.terms, ())

@@ -10,7 +10,7 @@ from scipy import stats
 
 from labhil.diagnose import locate
 from labhil.diagnose.answer import Curve, Excluded, Missing, RivalTerm, Undecided
-from labhil.diagnose.beyond import MISNAMED
+from labhil.diagnose.conclude import MISNAMED
 from labhil.diagnose.credence import credence, share
 from labhil.diagnose.found import Found, Rival, Step
 from labhil.diagnose.judge import Data

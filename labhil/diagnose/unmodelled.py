@@ -14,16 +14,12 @@ from labhil.diagnose.curve import (
     band,
     begun,
     criterion,
-    deepened,
     gauged,
     glance,
     handed_over,
     in_blocks,
-    lengthened,
     minimised,
-    refined,
     rows_beside,
-    shortened,
 )
 from labhil.diagnose.evidence import Evidence, bic, effective_samples, heldout_gain
 from labhil.diagnose.found import FittedCurve
@@ -42,32 +38,14 @@ from labhil.signals import FloatArray
 REACHED = 1.05
 """A model whose errors are at most this much above the noise has nothing left to explain."""
 
-REFINED = 3
-"""How many coordinates are looked at by the simulation itself."""
-
 ITERATIONS = 8
 """Steps on the windows of each length."""
-
-FINISHED = 25
-"""Steps of the chosen one at the end."""
-
-MODERATE = 2.0
-"""Errors, in units of the noise, up to which one linear step tells coordinates apart."""
-
-PROMISED = 1.2
-"""Errors over those that a glance promised up to which the simulation has kept the promise."""
-
-HALVINGS = 3
-"""Times that windows are cut in half, by way of which a strong effect is approached."""
 
 WAYS: Mapping[Over, str] = {
     Over.POSITION_AGAINST: "dry friction",
     Over.SPEED_AGAINST: "friction",
     Over.DAMPING: "viscous friction",
 }
-
-BEHIND = 30.0
-"""By which a rival's criterion may be worse on shorter windows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +99,7 @@ class Unmodelled:
 
 
 def unmodelled(data: Data, final: Fitted, part: MovedPart) -> Unmodelled | None:
-    """The force on ``part`` over one coordinate that brings a fitted model closest to the data, or None.
+    """The torque on a joint over one coordinate that brings a fitted arm closest to the data, or None.
 
     It has to be supported by the search data and by the held-out ones, and has to explain half of what these
     show, or it only stands in for something else. The model must take a force.
@@ -182,39 +160,15 @@ def given_coordinates(final: Fitted, part: MovedPart) -> list[Coordinate]:
 def _best(final: Fitted, model: Yielding, part: MovedPart) -> Curved | None:
     """The curve with the least criterion, of all coordinates that vary.
 
-    Glances are on windows so short that even a strong effect is nearly a linear one.
+    Inverse dynamics is linear in a curve: a glance is as good as what follows.
     """
-    if not model.state_names:
-        # inverse dynamics is linear in a curve: there a glance is as good as what follows
-        looks = _looks(in_blocks(final), model, part)
-        return gauged(minimised(begun(looks[0]), None, ITERATIONS)) if looks else None
-    trials = _curves(final, model, part, HALVINGS)
-    return gauged(deepened(trials[0], FINISHED)) if trials else None
-
-
-def _curves(final: Fitted, model: Yielding, part: MovedPart, halvings: int) -> list[Curved]:
-    """The best curves on the windows of a fit, some of them by way of windows half as long.
-
-    These are asked where errors are not moderate, or where the simulation keeps no glance's promise.
-    """
-    looks = _looks(final, model, part)[:REFINED]
-    moderate = final.noise < MODERATE or not halvings
-    trials = _leading([refined(begun(look), ITERATIONS) for look in looks]) if moderate else []
-    if not halvings or not looks or (trials and trials[0].fitted.noise < PROMISED * looks[0].fitted.noise):
-        return trials
-    windows = final.problem.windows
-    shorter = _curves(shortened(final, 0.5), model, part, halvings - 1)
-    return _leading([*trials, *(lengthened(trial, windows, ITERATIONS) for trial in shorter)])
-
-
-def _looks(short: Fitted, model: Yielding, part: MovedPart) -> list[Curved]:
-    """Glances at a curve over each coordinate that varies, the one with the least criterion first."""
+    short = in_blocks(final)
     looks = _glances(short, motion_coordinates(model, part) + given_coordinates(short, part))
-    where = _placed(short)
-    if where is not short:
-        looks += _glances(where, _places(where))
-    effective = _worth(looks) if looks else 0.0
-    return sorted(looks, key=lambda look: criterion(look, effective))
+    if not looks:
+        return None
+    effective = _worth(looks)
+    best = min(looks, key=lambda look: criterion(look, effective))
+    return gauged(minimised(begun(best), None, ITERATIONS))
 
 
 def _glances(fitted: Fitted, possible: Sequence[Coordinate]) -> list[Curved]:
@@ -235,20 +189,6 @@ def _placed(final: Fitted) -> Fitted:
     states = np.column_stack([point.states, problem.guess[:, point.states.shape[1] :]])
     solution = replace(final.solution, point=replace(point, states=states))
     return replace(final, problem=problem, solution=solution, rivals=())
-
-
-def _places(final: Fitted) -> list[Coordinate]:
-    """What a force may be a function of once the place is known."""
-    model = final.problem.model
-    assert isinstance(model, Yielding)
-    return [c for part in model.moved for c in motion_coordinates(model, part) if c.name == part.position]
-
-
-def _leading(trials: Sequence[Curved]) -> list[Curved]:
-    """Those that the best one does not leave far behind, best first."""
-    effective = _worth(trials) if trials else 0.0
-    marks = [criterion(trial, effective) for trial in trials]
-    return [trials[i] for i in np.argsort(marks) if marks[i] < min(marks) + BEHIND]
 
 
 def _worth(trials: Sequence[Curved]) -> float:

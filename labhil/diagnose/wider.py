@@ -11,7 +11,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from labhil.diagnose.conclude import BEYOND_DOUBT
 from labhil.diagnose.found import Step
 from labhil.diagnose.judge import Data
 from labhil.identify.windows import told_apart
@@ -22,6 +21,9 @@ PARTS = (4, 2)
 
 ELSEWHERE = 0.1
 """Share of the held-out samples beyond all that was searched from which that other one goes elsewhere."""
+
+BEYOND_DOUBT = -50.0
+"""ΔBIC that what more data add has to have: what is left of a real rig passes for evidence more easily."""
 
 LONG_ENOUGH = 1.25
 """Horizons in each, at least: half of one before what is scored."""

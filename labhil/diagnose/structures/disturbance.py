@@ -129,12 +129,11 @@ def response_to_a_force(problem: Problem) -> FloatArray:
     return np.repeat(strength, len(problem.sigma))
 
 
-def noise_beside(problem: Problem, residuals: FloatArray, disturbance: Disturbance) -> Noise:
-    """Noise of each channel, told apart from a disturbance by its spectrum.
+def noise_beside(problem: Problem, residuals: FloatArray) -> Noise:
+    """Noise of each channel beside what a model lacks, told apart by its spectrum.
 
     A model that lacks something leaves slow errors, noise quick ones. Size and correlation are those under
-    which the spectrum of the windows' residuals (N·c,) is likeliest (Whittle 1953), but for its slowest
-    parts: most of what a model lacks is there, and the windows' states take out some.
+    which the quicker parts of the spectrum of the windows' residuals (N·c,) are likeliest (Whittle 1953).
     """
     channels, edges = len(problem.sigma), np.array(_edges(problem))
     spectrum = spectra(problem, residuals[:, None])[:, 0].reshape(-1, channels) ** 2
@@ -143,15 +142,10 @@ def noise_beside(problem: Problem, residuals: FloatArray, disturbance: Disturban
     skipped = max(n // SLOW, len(problem.model.state_names))
     rows = (edges[:-1, None] + np.arange(skipped, n)).ravel()
     power = np.median(spectrum[rows].reshape(len(counts), n - skipped, channels), axis=0) / MEDIAN
-    force = response_to_a_force(problem).reshape(-1, channels)[skipped:n, 0] ** 2
-    shape = _noise_shapes(n)[:, None, skipped:] + disturbance.size[:, None] ** 2 * force
-    size, correlation = np.empty(channels), np.empty(channels)
-    for c in range(channels):
-        scale = np.mean(power[:, c] / shape, axis=-1)
-        unlikely = np.log(scale) + np.mean(np.log(shape), axis=-1)
-        best = np.unravel_index(np.argmin(unlikely), unlikely.shape)
-        size[c], correlation[c] = np.sqrt(scale[best]), CORRELATIONS[best[0]]
-    return Noise(problem.sigma * size, correlation)
+    shapes = _noise_shapes(n)[:, skipped:]
+    scale = np.mean(power.T[:, None, :] / shapes, axis=2)
+    best = np.argmin(np.log(scale) + np.mean(np.log(shapes), axis=1), axis=1)
+    return Noise(problem.sigma * np.sqrt(scale[np.arange(channels), best]), CORRELATIONS[best])
 
 
 def _noise_shapes(count: int) -> FloatArray:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import comb, inf, log
+from operator import attrgetter
 
 import numpy as np
 
@@ -32,7 +33,7 @@ class BeamOptions:
     """How far the enumeration goes.
 
     Attributes:
-        width: structures of each size that are extended by one more term.
+        width: structures of each size that are extended by one more term, by either evidence.
         variants: ways of a term to act that larger structures try, the best ones by themselves.
         most_terms: size at which the search ends in any case.
         patience: sizes in a row without a better structure after which it ends: two terms may help together
@@ -59,10 +60,22 @@ class Predicted:
     sizes: FloatArray
 
 
+EVIDENCES: tuple[Callable[[Predicted], float], ...] = (
+    attrgetter("log_evidence"),
+    attrgetter("undisturbed"),
+)
+
+
 def relevance(without: float, remains: float) -> float:
     """What a term explains over what remains beside it, of the mean squares with and without it."""
     beyond_noise = remains - KNOWN_NOISE**2
     return (without - remains) / beyond_noise if beyond_noise > 0.0 else inf
+
+
+def candidates(model: Model, present: Sequence[str]) -> list[tuple[str, ...]]:
+    """Every absent term, together with those that it builds on (Stribeck friction on Coulomb friction)."""
+    absent = [name for name in model.terms if name not in present]
+    return [(*(t for t in model.terms[name].with_terms if t in absent), name) for name in absent]
 
 
 def closed(model: Model, terms: Iterable[str], baseline: frozenset[str]) -> Structure:
@@ -136,15 +149,23 @@ class Enumeration:
             extended = self._extended(beam, order, reached)
             if not extended:
                 break
-            ranked = sorted(self.evaluate(extended), key=lambda p: -p.log_evidence)
-            top = max(p.log_evidence for p in reached.values())
-            self._note(reached, ranked)
-            waited = 0 if ranked[0].log_evidence > top else waited + 1
+            found = self.evaluate(extended)
+            tops = [max(of(p) for p in reached.values()) for of in EVIDENCES]
+            self._note(reached, found)
+            better = any(max(of(p) for p in found) > top for of, top in zip(EVIDENCES, tops, strict=True))
+            waited = 0 if better else waited + 1
             if waited == self.options.patience:
                 break
-            first = {p.structure: p.choice for p in reversed(ranked)}
-            beam = [first[s] for s in dict.fromkeys(p.structure for p in ranked)][: self.options.width]
+            beam = list(
+                {_key(choice): choice for of in EVIDENCES for choice in self._first(found, of)}.values()
+            )
         return reached
+
+    def _first(self, found: Sequence[Predicted], evidence: Callable[[Predicted], float]) -> list[Choice]:
+        """The best way of each of the structures with the most evidence of a kind."""
+        ranked = sorted(found, key=evidence, reverse=True)
+        first = {p.structure: p.choice for p in reversed(ranked)}
+        return [first[s] for s in dict.fromkeys(p.structure for p in ranked)][: self.options.width]
 
     def _predicted(self, choice: Choice, value: float, undisturbed: float, sizes: FloatArray) -> Predicted:
         structure = frozenset(v.term for v in choice)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
@@ -13,11 +13,17 @@ from labhil.diagnose.collapsed import given_way
 from labhil.diagnose.evidence import Evidence, best_heldout_gain
 from labhil.diagnose.found import Found, Step
 from labhil.diagnose.judge import ALPHA, Data
-from labhil.diagnose.refit import without
-from labhil.diagnose.screen import Progress, candidates
+from labhil.diagnose.refit import on_windows, without
 from labhil.diagnose.structures.curves import CurveSearch
-from labhil.diagnose.structures.disturbance import Disturbance, noise_beside
-from labhil.diagnose.structures.enumerate import RELEVANCE, Enumeration, Predicted, Structure, closed
+from labhil.diagnose.structures.disturbance import noise_beside
+from labhil.diagnose.structures.enumerate import (
+    RELEVANCE,
+    Enumeration,
+    Predicted,
+    Structure,
+    candidates,
+    closed,
+)
 from labhil.diagnose.structures.responses import responses
 from labhil.diagnose.structures.state import (
     Refitted,
@@ -29,15 +35,15 @@ from labhil.diagnose.structures.state import (
 )  # fmt: skip
 from labhil.ending import EndedEarly, accept
 from labhil.identify.fitted import Fitted, fit_terms, with_only
-from labhil.identify.noise import MOST, lasting_noise
-from labhil.identify.problem import Problem
+from labhil.identify.noise import MOST
 from labhil.identify.score import Score
 from labhil.identify.waves import starts_beside
-from labhil.identify.window_states import FIRST_GROWN, grow_states
-from labhil.identify.windows import fit_windows, noise_of
+from labhil.identify.windows import noise_of
 from labhil.physics.extra_force import Yielding
 from labhil.physics.model import index_of
 from labhil.signals import FloatArray
+
+Progress = Callable[[str], None]
 
 CURVE_WINDOW = 1.5
 """Scored horizons of the windows on which curves are weighed: on longer ones few are linear enough."""
@@ -99,6 +105,17 @@ class Stage:
         return [self.state.refitted[structure].fitted for structure in chosen]
 
 
+EvidenceOf = Callable[[Refitted | Predicted], float]
+
+
+def _with_disturbance(of: Refitted | Predicted) -> float:
+    return of.log_evidence
+
+
+def _undisturbed(of: Refitted | Predicted) -> float:
+    return of.undisturbed
+
+
 @dataclass(frozen=True, slots=True)
 class StructureSearch:
     """A search over sets of terms that are added to a baseline.
@@ -135,13 +152,21 @@ class StructureSearch:
         return state
 
     def _settle(self, state: SearchState) -> None:
-        """Look at the best structure and refit what is likelier there, until that is the best one itself."""
+        """Look at the best structure and refit what is likelier there, until that is the best one itself.
+
+        And at the one that would be best if nothing disturbed: from afar a disturbance stands in for several
+        effects of which none explains most by itself.
+        """
         for _ in range(self.options.rounds):
-            looked = state.likeliest in state.looked
-            if not looked:
-                self._look(state, state.likeliest)
-                self._refit_narrowed(state)
-            if not self._refit_promising(state) and (looked or state.likeliest in state.looked):
+            stands = True
+            for evidence in (_with_disturbance, _undisturbed):
+                best = state.most(evidence)
+                if best not in state.looked:
+                    self._look(state, best)
+                    self._refit_narrowed(state, best)
+                    stands = False
+                stands = not self._refit_promising(state, evidence) and stands
+            if stands:
                 break
 
     def _look(self, state: SearchState, structure: Structure) -> None:
@@ -185,7 +210,7 @@ class StructureSearch:
             fewest = min(len(p.structure) for p in longer)
             beside = [p for p in longer if len(p.structure) == fewest]
             self._refit_predicted(state, max(beside, key=lambda p: p.log_evidence))
-        self._refit_promising(state)
+        self._refit_promising(state, _with_disturbance)
         return state.likeliest != before
 
     def _refit_singles(self, state: SearchState) -> None:
@@ -208,9 +233,9 @@ class StructureSearch:
             if structure not in state.refitted:
                 self._refit_and_enter(state, near.fitted, structure, {})
 
-    def _refit_narrowed(self, state: SearchState) -> None:
-        """Refit the best structure with what a term becomes without its width, begun at that term's size."""
-        model, best = self.data.model, state.likeliest
+    def _refit_narrowed(self, state: SearchState, best: Structure) -> None:
+        """Refit a structure with what a term becomes without its width, begun at that term's size."""
+        model = self.data.model
         theta, places = state.refitted[best].fitted.theta, index_of(model.parameters)
         for term in best:
             narrow = model.terms[term].narrow
@@ -225,19 +250,17 @@ class StructureSearch:
         seen = responses(self.data, fitted, self.baseline, self.correlation, self.executor, absent=absent)
         return Enumeration(self.data.model, seen, frozenset(self.baseline), self.candidates)
 
-    def _refit_promising(self, state: SearchState) -> bool:
-        """Refit the most promising structures that were not refitted yet; whether there were any."""
-        likely = max(r.log_evidence for r in state.refitted.values())
-        plain = max(r.undisturbed for r in state.refitted.values())
-        most = len(state.likeliest) + self.options.few
+    def _refit_promising(self, state: SearchState, evidence: EvidenceOf) -> bool:
+        """Refit the most promising structures that were not refitted yet; whether there were any.
 
-        def promise(p: Predicted) -> float:
-            by_itself = p.undisturbed - plain if len(p.structure) <= most else -np.inf
-            return float(max(p.log_evidence - likely, by_itself))
-
-        new = [p for s, p in state.predicted.items() if s not in state.refitted]
-        promising = [p for p in new if promise(p) > -self.options.margin]
-        waiting = sorted(promising, key=lambda p: -promise(p))[: self.options.refits]
+        Where nothing disturbs many terms stand in for anything: only a few more than the best has count.
+        """
+        best = state.most(evidence)
+        least = evidence(state.refitted[best]) - self.options.margin
+        most = len(best) + self.options.few
+        new = [p for s, p in state.predicted.items() if s not in state.refitted and evidence(p) > least]
+        possible = [p for p in new if evidence is _with_disturbance or len(p.structure) <= most]
+        waiting = sorted(possible, key=evidence, reverse=True)[: self.options.refits]
         for predicted in waiting:
             self._refit_predicted(state, predicted)
         return bool(waiting)
@@ -296,7 +319,7 @@ def search_structures(
 ) -> Found:
     """Find the likeliest terms beside a fitted baseline, by one evidence."""
     options = options or Options()
-    data, correlation = _told_from_what_is_missing(data, baseline)
+    data, correlation = _in_noise_beside(data, baseline)
     finished: list[Stage] = []
     complete = True
     try:
@@ -306,7 +329,7 @@ def search_structures(
                 begin = [baseline]
                 if finished:
                     begin = finished[-1].leading
-                    data, correlation = _left_by(data, finished[-1].best)
+                    data, correlation = _in_noise_beside(data, finished[-1].best)
                 stage = replace(data, window=length)
                 if data.model.state_names:
                     begin = [on_windows(stage, fitted) for fitted in begin]
@@ -336,19 +359,13 @@ def _lengths(data: Data, options: Options) -> list[float]:
     return list(dict.fromkeys(min(h * data.model.horizon, data.search.longest) for h in options.horizons))
 
 
-def _told_from_what_is_missing(data: Data, baseline: Fitted) -> tuple[Data, FloatArray]:
-    """The data in units of the noise beside what a baseline lacks, and the noise's correlation (c,)."""
+def _in_noise_beside(data: Data, fitted: Fitted) -> tuple[Data, FloatArray]:
+    """The data in units of the noise beside what a fit lacks, and the noise's correlation (c,)."""
     if not data.model.state_names:
         return data, np.zeros(len(data.sigma))
-    noise = noise_beside(baseline.problem, baseline.solution.residuals, Disturbance.grid(1))
+    noise = noise_beside(fitted.problem, fitted.solution.residuals)
     least = noise_of(data.search)
     return replace(data, sigma=np.clip(noise.sigma, least, MOST * least)), noise.correlation
-
-
-def _left_by(data: Data, fitted: Fitted) -> tuple[Data, FloatArray]:
-    """The data in units of the noise that a fit leaves on short windows, and the noise's correlation (c,)."""
-    noise = lasting_noise(data.model, fitted.theta, data.search, noise_of(data.search))
-    return replace(data, sigma=noise.sigma), noise.correlation
 
 
 def _with_curve(
@@ -382,20 +399,6 @@ def _unplaced(data: Data, beside: Fitted) -> Fitted:
     return fit_terms(
         data.model, data.search, beside.terms, data.window, data.sigma, start=beside.theta, starts=[{}],
         held=data.held,
-    )  # fmt: skip
-
-
-def on_windows(data: Data, fitted: Fitted) -> Fitted:
-    """Refit on the data's windows and noise, beginning at states that fit these with the parameters kept."""
-    old = fitted.problem
-    if abs(fitted.window - data.window) < 1e-9 and np.array_equal(old.sigma, data.sigma):
-        return fitted
-    windows = fit_windows(data.search, data.window)
-    problem = Problem(old.model, data.search, windows, old.free, fitted.theta, data.sigma)
-    states = grow_states(problem, fitted.solution.point.z, FIRST_GROWN * data.model.horizon)
-    return fit_terms(
-        data.model, data.search, fitted.terms, data.window, data.sigma, start=fitted.theta, new_terms=(),
-        states=states, iterations=25, tolerance=1e-4, held=data.held,
     )  # fmt: skip
 
 

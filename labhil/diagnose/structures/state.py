@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -43,10 +43,14 @@ class SearchState:
         """Refitted structures each of whose terms explains enough."""
         return {s: r for s, r in self.refitted.items() if least_relevance(self.relevance(s)) >= self.least}
 
+    def most(self, evidence: Callable[[Refitted], float]) -> Structure:
+        """The refitted structure with the most evidence of a kind."""
+        return max(self.refitted, key=lambda s: evidence(self.refitted[s]))
+
     @property
     def likeliest(self) -> Structure:
         """The refitted structure with the largest evidence."""
-        return max(self.refitted, key=lambda s: self.refitted[s].log_evidence)
+        return self.most(lambda refitted: refitted.log_evidence)
 
     @property
     def best(self) -> Structure:

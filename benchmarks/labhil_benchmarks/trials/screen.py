@@ -2,69 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 
-from labhil.diagnose.evidence import effective_samples
-from labhil.diagnose.judge import NEEDED_BIC, Data
+from labhil.diagnose.judge import Data
 from labhil.identify.fitted import Fitted
 from labhil.identify.projection import Unexplained, orthonormal
 from labhil.identify.waves import starts_beside
-from labhil.physics.model import Model, index_of, terms_named
-from labhil.physics.terms import listed
+from labhil.physics.model import index_of, terms_named
 from labhil.signals import FloatArray
-
-Progress = Callable[[str], None]
 
 COST = 2e-3
 """Share of the residuals that each parameter has to promise."""
-
-ALLOWANCE = 0.5
-"""Share of the evidence needed that a projection has to promise where only promising terms are refitted."""
-
-
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """A group of terms with the share of the squared residuals that it promises to explain.
-
-    ``promising`` says that this would be strong evidence, with some allowance for what a projection misses.
-    """
-
-    group: tuple[str, ...]
-    share: float
-    promising: bool
-
-
-def rank(
-    data: Data, current: Fitted, executor: Executor, progress: Progress
-) -> tuple[list[Candidate], list[Candidate]]:
-    """Absent terms, and pairs of them, those that promise most first.
-
-    Pairs count from the start: one effect that hides another (a constant force under dry friction)
-    would let a wrong third explain a little of both.
-    """
-    groups = candidates(data.model, current.terms)
-    progress(f"screening {len(groups)} candidates and their pairs beside {', '.join(listed(current.terms))}")
-    screen = Screen.of(data, current)
-    columns = list(executor.map(screen.columns_of, groups))
-    single = [screen.candidate([own], group) for own, group in zip(columns, groups, strict=True)]
-    pairs = [
-        screen.candidate([columns[i], columns[j]], joined)
-        for i, j in combinations(range(len(groups)), 2)
-        for joined in [tuple(dict.fromkeys((*groups[i], *groups[j])))]
-        if not set(groups[i]) & set(groups[j])
-    ]
-    return sorted(single, key=lambda c: -c.share), sorted(pairs, key=lambda c: -c.share)
-
-
-def candidates(model: Model, present: Sequence[str]) -> list[tuple[str, ...]]:
-    """Every absent term, together with those that it builds on (Stribeck friction on Coulomb friction)."""
-    absent = [name for name in model.terms if name not in present]
-    return [(*(t for t in model.terms[name].with_terms if t in absent), name) for name in absent]
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,15 +44,6 @@ class Screen:
             if explained > most:
                 best, most = new, explained
         return best
-
-    def candidate(self, columns: Sequence[FloatArray], group: tuple[str, ...]) -> Candidate:
-        """What these columns of a group promise."""
-        share = self.promise(columns, group)
-        added = sum(len(self.data.model.terms[name].parameters) for name in group)
-        explained = min(max(share + COST * added, 0.0), 1.0 - 1e-9)
-        effective = effective_samples(self.unexplained.fitted)
-        gain = effective * np.log(1.0 - explained) + added * np.log(effective)
-        return Candidate(group, share, bool(gain < ALLOWANCE * NEEDED_BIC))
 
     def promise(self, columns: Sequence[FloatArray], group: Sequence[str]) -> float:
         """Share of the squared residuals that these columns explain; more parameters must promise more."""

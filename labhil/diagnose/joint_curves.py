@@ -1,0 +1,71 @@
+"""Torques on an arm's joints that no named term explains, joint by joint, each beside those before it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from labhil.diagnose.found import Found
+from labhil.diagnose.judge import Data
+from labhil.diagnose.refit import refit
+from labhil.diagnose.rest import left_by
+from labhil.diagnose.unmodelled import Unmodelled, unmodelled
+from labhil.identify.fitted import Fitted
+from labhil.identify.kept_curve import under
+from labhil.physics.extra_force import MovedPart, Yielding
+
+LEFT = 1.15
+"""What a joint leaves, in units of its noise, from which a torque on it is looked for.
+
+That is a linear problem, which what the joint moves through poses thousands of times.
+"""
+
+MUCH_LEFT = 1.5
+"""The same that is no imperfection of the noise: without a curve there the search goes on at other joints."""
+
+
+def joint_curves(data: Data, found: Found) -> tuple[Unmodelled, ...]:
+    """Torques that no named term explains.
+
+    The joints have their turns by what is left of them, until little is left or the worst of what is little
+    more than noise has none.
+    """
+    model, curves = data.model, tuple[Unmodelled, ...]()
+    waiting = list(model.moved) if isinstance(model, Yielding) else []
+    while waiting:
+        part, most = _worst(data, found, curves, waiting)
+        if most < LEFT:
+            break
+        beside, final = _beside(data, found.final, curves)
+        curve = unmodelled(beside, final, part)
+        if curve is None and most < MUCH_LEFT:
+            break
+        curves = curves if curve is None else (*curves, curve)
+        waiting.remove(part)
+    return curves
+
+
+def strongest(curves: Sequence[Unmodelled]) -> list[Unmodelled]:
+    """Those that bring held-out data closest to the noise first."""
+    return sorted(curves, key=lambda curve: -curve.evidence.heldout_loglik_gain)
+
+
+def _worst(
+    data: Data, found: Found, curves: Sequence[Unmodelled], parts: Sequence[MovedPart]
+) -> tuple[MovedPart, float]:
+    """The part whose output leaves most, and how much that is, in units of the noise."""
+    left = np.max(left_by(*_beside(data, found.final, curves)), axis=0)
+    of_joint = dict(zip(data.search.output_joints, left.tolist(), strict=True))
+    worst = max(parts, key=lambda part: of_joint[part.joint])
+    return worst, of_joint[worst.joint]
+
+
+def _beside(data: Data, final: Fitted, curves: Sequence[Unmodelled]) -> tuple[Data, Fitted]:
+    """Data whose model is under these curves, and a fit of it with the same terms."""
+    if not curves:
+        return data, final
+    assert isinstance(data.model, Yielding)
+    data = replace(data, model=under(data.model, [curve.kept for curve in curves], data.search))
+    return data, refit(data, final, final.terms, ())
