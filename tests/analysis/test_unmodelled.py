@@ -10,18 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labhil.diagnose.beyond import imitated, settled
-from labhil.diagnose.evidence import Evidence
-from labhil.diagnose.found import Found, Step
+from labhil.diagnose.found import FittedCurve
 from labhil.diagnose.judge import Data
 from labhil.diagnose.refit import refit
-from labhil.diagnose.unmodelled import Unmodelled, unmodelled
+from labhil.diagnose.structures.curves import CurveSearch
+from labhil.diagnose.structures.disturbance import noise_beside
+from labhil.diagnose.unmodelled import Unmodelled, stated
 from labhil.identify.fitted import Fitted, climb, start_theta
 from labhil.identify.kept_curve import ModelUnderCurves
 from labhil.identify.score import score
 from labhil.identify.windows import fit_windows, noise_of
-from labhil.physics.axis import AxisModel
-from labhil.physics.ball_beam import BallBeamModel
 from labhil.physics.extra_force import ExtraForce, Over, Yielding
 from labhil.physics.model import Record
 from labhil.physics.rigs import model_for
@@ -86,6 +84,18 @@ def fitted(rig: str, terms: tuple[str, ...], record: Record, test: Record) -> tu
     return data, climb(model, record, list(terms), lengths, data.sigma, start=begin, fresh=terms)[-1]
 
 
+def curve_of(data: Data, final: Fitted, baseline: tuple[str, ...]) -> FittedCurve | None:
+    """The likeliest force over a coordinate beside or in the place of what a fit names."""
+    noise = noise_beside(final.problem, final.solution.residuals)
+    return CurveSearch(data, baseline, noise.correlation).run(final)
+
+
+def unmodelled(data: Data, final: Fitted) -> Unmodelled | None:
+    """The same as an answer states it, of a fit that names nothing."""
+    found = curve_of(data, final, final.terms)
+    return None if found is None else stated(data, found)
+
+
 def within(found: Unmodelled, law: Law) -> float:
     """Share of the visited range where the plant's own law lies within the band.
 
@@ -106,7 +116,7 @@ def test_a_sticky_patch_is_found_where_it_is() -> None:
     }
     records = [held_axis(("hidden_sticky_patch",), parameters, seed, 4000) for seed in (1, 2)]
     data, final = fitted(AXIS_RIG, AXIS_TERMS, *records)
-    found = unmodelled(data, final, AxisModel.moved[0])
+    found = unmodelled(data, final)
     assert found is not None
     assert (found.depends_on, found.acts) == (("position", "axis_velocity"), Over.POSITION_AGAINST)
     assert within(found, lambda x: 0.3 * np.exp(-0.5 * (x / 0.02) ** 2)) >= 0.9
@@ -121,7 +131,7 @@ def test_a_magnet_under_the_beam_is_found_where_it_is() -> None:
     data, final = fitted(
         BALL_BEAM_RIG, BALL_TERMS, *held_balls(("hidden_magnet",), {"hidden_magnet.pull": 0.005})
     )
-    found = unmodelled(data, final, BallBeamModel.moved[0])
+    found = unmodelled(data, final)
     assert found is not None
     assert (found.depends_on, found.acts, found.unit) == (("ball_position",), Over.POSITION, "N")
 
@@ -151,14 +161,13 @@ def test_a_curve_takes_the_place_of_what_imitates_it_only(
     effects = tuple({key.partition(".")[0] for key in hidden})
     data, base = fitted(BALL_BEAM_RIG, BALL_TERMS, *held_balls(effects, hidden))
     final = refit(replace(data, window=2.0 * data.window), base, (*base.terms, *named), named, thorough=True)
-    sure = Evidence(-100.0, 1e-9, 100.0)
-    steps = tuple(Step((term,), sure, 1e-9, told=True) for term in named)
-    excess = data.judge(final.theta)[-1]
-    found, curves = imitated(
-        data, Found(base, final, steps, (), 1.0, 20), max(excess.rmse / excess.noise_floor, 1.15)
-    )
-    assert [step.terms for step in found.missing] == ([(term,) for term in named] if stays else [])
-    assert [curve.depends_on for curve in curves] == ([] if stays else [("ball_position",)])
+    found = curve_of(data, final, base.terms)
+    if stays:
+        assert found is None
+    else:
+        assert found is not None
+        assert not set(named) & set(found.beside.terms)
+        assert found.curved.model.coordinate.name == "ball_position"
 
 
 @pytest.mark.extended
@@ -170,8 +179,7 @@ def test_nothing_is_found_where_nothing_is(rig: str) -> None:
         data, final = fitted(AXIS_RIG, AXIS_TERMS, *records)
     else:
         data, final = fitted(BALL_BEAM_RIG, BALL_TERMS, *held_balls((), {}))
-    (part,) = data.model.moved
-    assert unmodelled(data, final, part) is None
+    assert unmodelled(data, final) is None
 
 
 # every rig has a kernel with one more force, and compiling one takes half a minute
@@ -193,15 +201,6 @@ def test_no_force_changes_nothing(kind: str, acts: Over) -> None:
     assert np.array_equal(plain, model.with_force(nothing).simulate(theta, record, windows, states))
 
 
-def test_a_fit_settles_on_its_own_windows_where_a_recording_has_a_gap() -> None:
-    truth = {"moving_mass": 90.0, "viscous_friction.coefficient": 200.0, "coulomb_friction.level": 18.0}
-    record, test = (held_axis((), truth, seed, 3000) for seed in (1, 2))
-    kept = (record.t < 1.0) | (record.t > 1.3)
-    gap = replace(record, t=record.t[kept], inputs=record.inputs[kept], outputs=record.outputs[kept])
-    data, final = fitted(AXIS_RIG, AXIS_TERMS, gap, test)
-    assert len(settled(data, final, final).problem.windows) == len(final.problem.windows)
-
-
 @pytest.mark.extended
 def test_a_magnet_beside_a_shaft_is_found_though_nothing_tells_the_angle() -> None:
     """The measured speed says how far it turned; where the test began is found by what it shows."""
@@ -217,7 +216,7 @@ def test_a_magnet_beside_a_shaft_is_found_though_nothing_tells_the_angle() -> No
     search, test = (replace(record, auxiliary={}) for record in runs)
     test = test.part(730, len(test))
     data, final = fitted('[rig]\nkind = "dc_motor"\n', ("viscous_friction",), search, test)
-    found = unmodelled(data, final, data.model.moved[0])
+    found = unmodelled(data, final)
     assert found is not None
     assert (found.depends_on, found.acts) == (("shaft_angle",), Over.POSITION)
     assert found.share >= 0.9

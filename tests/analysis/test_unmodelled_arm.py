@@ -13,9 +13,9 @@ import pytest
 
 from labhil.analysis.kept_curve import curves_json, under_kept_curve
 from labhil.analysis.results import diagnosis_json
-from labhil.diagnose.beyond import beyond
 from labhil.diagnose.diagnosis import data_of, diagnose, fit_baseline
 from labhil.diagnose.found import Found
+from labhil.diagnose.joint_curves import joint_curves
 from labhil.diagnose.judge import Data
 from labhil.diagnose.rest import left_by, unexplained
 from labhil.diagnose.unmodelled import Unmodelled
@@ -82,7 +82,7 @@ def searched(*records: Record) -> tuple[Data, Fitted]:
 
 
 def curves_of(data: Data, base: Fitted) -> tuple[Unmodelled, ...]:
-    return beyond(data, Found(base, base, (), (), 1.0, 1), 2.0)[1]
+    return joint_curves(data, Found(base, base, (), (), 1.0, 1))
 
 
 def within(found: Unmodelled, law: Law) -> float:
