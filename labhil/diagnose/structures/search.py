@@ -158,15 +158,15 @@ class StructureSearch:
         effects of which none explains most by itself.
         """
         for _ in range(self.options.rounds):
-            stands = True
+            new = False
             for evidence in (_with_disturbance, _undisturbed):
                 best = state.most(evidence)
                 if best not in state.looked:
                     self._look(state, best)
                     self._refit_narrowed(state, best)
-                    stands = False
-                stands = not self._refit_promising(state, evidence) and stands
-            if stands:
+                    self._refit_promising(state, evidence)
+                    new = True
+            if not new:
                 break
 
     def _look(self, state: SearchState, structure: Structure) -> None:
@@ -250,8 +250,8 @@ class StructureSearch:
         seen = responses(self.data, fitted, self.baseline, self.correlation, self.executor, absent=absent)
         return Enumeration(self.data.model, seen, frozenset(self.baseline), self.candidates)
 
-    def _refit_promising(self, state: SearchState, evidence: EvidenceOf) -> bool:
-        """Refit the most promising structures that were not refitted yet; whether there were any.
+    def _refit_promising(self, state: SearchState, evidence: EvidenceOf) -> None:
+        """Refit the most promising structures that were not refitted yet.
 
         Where nothing disturbs many terms stand in for anything: only a few more than the best has count.
         """
@@ -263,7 +263,6 @@ class StructureSearch:
         waiting = sorted(possible, key=evidence, reverse=True)[: self.options.refits]
         for predicted in waiting:
             self._refit_predicted(state, predicted)
-        return bool(waiting)
 
     def _refit_predicted(self, state: SearchState, predicted: Predicted) -> None:
         """Refit a structure from the fit where it was predicted, with the values that it has there."""
