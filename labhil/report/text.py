@@ -18,7 +18,7 @@ from labhil.analysis.schema import (
     Score,
     Source,
 )
-from labhil.analysis.verdicts import VERDICTS
+from labhil.analysis.verdicts import NOT_ASKED, VERDICTS
 from labhil.physics.terms import keyed, listed
 from labhil.report.absent import joints_table, of_joints, silences
 from labhil.report.faults import fault_lines
@@ -242,7 +242,7 @@ def diagnosis_text(diagnosis: DiagnosisPart) -> RenderableType:
         *(Text(line) for line in lines),
         *_found(diagnosis),
         *([] if diagnosis.improvement is None else _improvement(diagnosis.improvement)),
-        parameter_table(diagnosis.final.parameters, "Final model"),
+        parameter_table(diagnosis.judged_rows, "Final model"),
         *_not_found(diagnosis),
     )
 
@@ -250,7 +250,8 @@ def diagnosis_text(diagnosis: DiagnosisPart) -> RenderableType:
 def _found(diagnosis: DiagnosisPart) -> Iterator[RenderableType]:
     """Faults, place, missing terms with their rivals, changed values."""
     terms = ", ".join(listed(diagnosis.baseline.terms)) or "no terms"
-    yield Text(f"Baseline: {terms}; p {small(diagnosis.p_value)} that it suffices.")
+    suffices = f"p {small(diagnosis.p_value)} that it suffices" if diagnosis.asks_baseline else NOT_ASKED
+    yield Text(f"Baseline: {terms}; {suffices}.")
     for size in diagnosis.collapsed:
         yield Text(f"! {size.statement}", style="yellow")
     for fault in diagnosis.faults:
