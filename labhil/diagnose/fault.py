@@ -25,6 +25,7 @@ class Kind(StrEnum):
     CLOCK_RATE = "clock_rate"
     NO_DEVICE_CLOCK = "no_device_clock"
     NO_EXCITATION = "no_excitation"
+    UNDERSAMPLED = "undersampled"
     WRAPPED = "wrapped"
     LEAD = "lead"
 

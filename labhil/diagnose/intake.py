@@ -36,12 +36,16 @@ TOLERATED = {
     Kind.CLOCK_STEP: 0.0,
     Kind.WRAPPED: 0.0,
     Kind.LEAD: 0.0,
+    Kind.UNDERSAMPLED: 0.0,
 }
 """Shares up to which a fault is only reported; what is not listed never makes data unfit by itself.
 
 Readings at the end of a range still say "at least this", and count as that in residuals; where they are more
 than half of a channel, not even its median is known.
 """
+
+WHOLE = (Kind.GAP, Kind.NO_EXCITATION, Kind.UNDERSAMPLED)
+"""Faults that are no single samples' own."""
 
 UNMARKED = 0.01
 """The same of readings at the end of a range that are not marked as censored: they count as readings."""
@@ -114,7 +118,7 @@ def usable(record: Record, found: Sequence[Fault]) -> Usable:
     sound = np.ones(len(record), dtype=bool)
     for number, (each, span) in enumerate(zip(record.recordings(), record.spans, strict=True), 1):
         for fault in (f for f in found if f.recording in (None, number)):
-            for begin, end in fault.times if fault.kind not in (Kind.GAP, Kind.NO_EXCITATION) else ():
+            for begin, end in fault.times if fault.kind not in WHOLE else ():
                 sound[slice(*span)] &= (each.t < begin) | (each.t > end)
     tolerated = TOLERATED if record.censored is not None else {**TOLERATED, Kind.SATURATED: UNMARKED}
     fit = all(fault.share <= tolerated.get(fault.kind, 1.0) for fault in found)

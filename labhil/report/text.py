@@ -19,6 +19,7 @@ from labhil.analysis.schema import (
     Source,
 )
 from labhil.analysis.verdicts import NOT_ASKED, VERDICTS
+from labhil.diagnose.fault import Kind
 from labhil.physics.terms import keyed, listed
 from labhil.report.absent import joints_table, of_joints, silences
 from labhil.report.faults import fault_lines
@@ -205,7 +206,8 @@ def _fit_notes(fit: FitPart) -> list[str]:
         )
         if fit.identifiability.would_help:
             notes.append(f"It would help to know or to record: {', '.join(fit.identifiability.would_help)}.")
-    notes += fit.sampling
+    stated = tuple(f.statement.split()[0] for f in fit.faults if f.kind == Kind.UNDERSAMPLED)
+    notes += [note for note in fit.sampling if not note.startswith(stated)]
     if fit.verdict not in (None, "explained"):
         notes.append(_assumption(fit))
     elif fit.by_window and fit.window is not None and fit.window < fit.by_window[-1].window:
