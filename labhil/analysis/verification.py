@@ -12,6 +12,7 @@ from labhil.analysis.kept_curve import under_kept_curve
 from labhil.analysis.material import Taken, refuse_holes, rig_of
 from labhil.analysis.results import Reference, Source, accepted_of, finite, score_json
 from labhil.analysis.schema import VerificationPart, checked
+from labhil.diagnose.intake import without_spikes
 from labhil.diagnose.verify import ALPHA, Verification, verify
 from labhil.errors import ModelFileError, OptionError, RecordingError
 from labhil.identify.windows import FEWEST_SAMPLES
@@ -67,7 +68,7 @@ def verify_study(
             f"{path}: too short to verify: {len(record)} samples, at least {2 * FEWEST_SAMPLES} are needed"
         )
     model = under_kept_curve(model_for(rig, record), model_file)
-    found = verify(model, model.prepare(record), accepted, alpha=alpha, progress=progress)
+    found = verify(model, model.prepare(without_spikes(record)), accepted, alpha=alpha, progress=progress)
     source = Source(str(path), recording.sha256, model.kind, len(record), _duration(record), "test")
     seconds = time.perf_counter() - began
     data = verification_json(found, source, model_file, seconds)

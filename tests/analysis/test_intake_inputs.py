@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labhil.diagnose.hold import evident_hold
-from labhil.diagnose.intake import Kind, faults_of, usable, with_censored
+from labhil.diagnose.intake import Kind, faults_of, usable, with_censored, without_spikes
 from labhil.diagnose.lead import lead_of
 from labhil.diagnose.timing import better_hold, late_input, why_untimed
 from labhil.diagnose.wraps import wraps_of
@@ -213,6 +213,42 @@ def test_an_encoder_that_wraps_is_named_with_its_period(turns, period):
     unwrapped = np.unwrap(np.mod(position, period), period=found.period)
     assert np.ptp(unwrapped) == pytest.approx(np.ptp(position), rel=1e-3)
     assert wraps_of(position) is None
+
+
+def test_single_spikes_are_replaced_wherever_they_fall():
+    """Three close together, one right after a jump of the voltage."""
+    record = motor(stepped())
+    jump = int(np.flatnonzero(np.diff(record.inputs[:, 0]))[20]) + 1
+    places = np.array([130, 142, 155, 300, 445, 700, jump + 1, 1100, 1320])
+    outputs = record.outputs.copy()
+    outputs[places, 0] += 40.0 * (-1.0) ** np.arange(len(places))
+    hit = replace(record, outputs=outputs)
+    (fault,) = faults_of(hit)
+    assert fault.mended and [begin for begin, _ in fault.times] == record.t[np.sort(places)].tolist()
+    mended = without_spikes(hit)
+    assert np.abs(mended.outputs - record.outputs).max() < 12.0 * noise_of(record)[0]
+    assert without_spikes(record) is record
+
+
+def test_many_spikes_are_left_where_they_are():
+    record = motor(stepped())
+    outputs = record.outputs.copy()
+    outputs[7::40, 0] += 40.0
+    hit = replace(record, outputs=outputs)
+    assert without_spikes(hit) is hit
+    (fault,) = faults_of(hit)
+    assert not fault.mended and "leave these samples out" in fault.statement
+    assert not usable(hit, (fault,)).fit
+
+
+def test_a_channel_that_answers_every_jump_by_a_pulse_has_no_spikes():
+    record = motor(stepped())
+    outputs = record.outputs.copy()
+    jumps = np.diff(record.inputs[:, 0])
+    outputs[1:, 1] += 20.0 * jumps * (np.abs(jumps) > 0.5)
+    outputs[[95, 400, 1007], 1] += 100.0
+    found = [fault for fault in faults_of(replace(record, outputs=outputs)) if fault.kind is Kind.OUTLIER]
+    assert [round(begin, 3) for fault in found for begin, _ in fault.times] == [0.95, 4.0, 10.07]
 
 
 def test_a_sensor_that_slips_does_not_wrap():
