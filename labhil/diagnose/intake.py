@@ -243,12 +243,16 @@ def _saturated(record: Record, channel: Channel, limit: float) -> Fault:
     edges = np.flatnonzero(np.diff(np.r_[False, at, False].astype(np.int8)))
     spans = list(zip(edges[::2], edges[1::2] - 1, strict=True))
     share = float(at.mean())
-    return fault_of(
+    # with_censored marks those of outputs, but not of an arm's
+    counts = channel.name in record.output_names and channel.joint is None
+    counted = ", and count as that" if counts else ""
+    fault = fault_of(
         record, channel, Kind.SATURATED, spans, share,
         f"{channel.called} is clipped at {limit:.6g}: {at.sum()} samples ({percent(share)}) read exactly "
         f"this value{when(record, spans)}, although its noise should scatter them. They say only that it was "
-        "there or beyond, and count as that. Check the sensor's and the converter's range, or excite less.",
+        f"there or beyond{counted}. Check the sensor's and the converter's range, or excite less.",
     )  # fmt: skip
+    return replace(fault, mended=counts and share <= TOLERATED[Kind.SATURATED])
 
 
 def _stuck(record: Record, channel: Channel, spans: Sequence[tuple[int, int]]) -> Fault:
