@@ -26,6 +26,7 @@ import numpy as np
 from labhil.analysis.material import load_material
 from labhil.analysis.study import diagnose_study
 from labhil.diagnose.diagnosis import METHODS
+from labhil.errors import LabhilError
 from labhil.experiment.experiment import parse_experiment
 from labhil.experiment.run import run_experiment
 from labhil.recording.reader import read_recording
@@ -127,9 +128,13 @@ def examine(path: Path, device: str) -> dict[str, Any]:
         "clock_faults": [fault.kind.value for fault in data.clock_faults],
         "seconds": round(float(data.t[-1]), 2),
     }
+    try:
+        material = load_material(path, device=device)
+    except LabhilError as error:  # the run ended before there was enough to learn from
+        return {**found, "refused": str(error)}
     for method in METHODS:
         began = time.monotonic()
-        result = diagnose_study(load_material(path, device=device), baseline=TERMS, method=method).json
+        result = diagnose_study(material, baseline=TERMS, method=method).json
         found[method] = {
             "verdict": result["verdict"],
             "missing": [one["term"] for one in result["missing"]],
@@ -153,6 +158,7 @@ def main() -> None:
     parser.add_argument("-o", "--out", type=Path)
     options = parser.parse_args()
     runs: list[dict[str, Any]] = []
+    refused: list[dict[str, Any]] = []
     failed = 0
     with tempfile.TemporaryDirectory() as directory:
         folder = options.recordings or options.keep or Path(directory)
@@ -163,8 +169,9 @@ def main() -> None:
         for path in sorted(folder.glob("*.mcap")) if not options.record_only else ():
             for device in dict.fromkeys(each.device for each in read_recording(path).streams):
                 if device in STEPS:
-                    runs.append(examine(path, device))
-                    print(runs[-1], file=sys.stderr, flush=True)
+                    found = examine(path, device)
+                    print(found, file=sys.stderr, flush=True)
+                    (refused if "refused" in found else runs).append(found)
     result = {
         "schema": "labhil.busy/2",
         "busy": options.busy,
@@ -175,6 +182,7 @@ def main() -> None:
         "named_something": {method: sum(bool(run[method]["missing"]) for run in runs) for method in METHODS},
         "verdicts": {method: sorted(run[method]["verdict"] for run in runs) for method in METHODS},
         "runs": runs,
+        "too_short": refused,
     }
     tell(result, options.out)
 

@@ -114,7 +114,7 @@ def without_spikes(record: Record) -> Record:
 
     Where there are too many of them the record stays as it was measured.
     """
-    if not np.isfinite(record.outputs).all():
+    if not len(record) or not np.isfinite(record.outputs).all():
         return record
     outputs = record.outputs.copy()
     for each, span in zip(record.recordings(), record.spans, strict=True):

@@ -50,6 +50,8 @@ def spikes(x: FloatArray, sigma: float, inputs: FloatArray) -> IntArray:
 
     ``sigma`` is the channel's noise, ``inputs`` (n, m) drive the rig.
     """
+    if len(x) < 2 * REACH + 3:
+        return np.empty(0, dtype=np.int64)
     near, calm = input_jumps(inputs), x.copy()
     found: list[int] = []
     for _ in range(ROUNDS):
@@ -66,8 +68,6 @@ def spikes(x: FloatArray, sigma: float, inputs: FloatArray) -> IntArray:
 
 def _standing_out(x: FloatArray, sigma: float) -> IntArray:
     """The same, also where an input jumps."""
-    if len(x) < 2 * REACH + 3:
-        return np.empty(0, dtype=np.int64)
     change = np.diff(x)
     rises, falls = change[:-1], change[1:]
     height = np.where(rises * falls < 0.0, np.minimum(np.abs(rises), np.abs(falls)), 0.0)

@@ -228,6 +228,9 @@ def test_single_spikes_are_replaced_wherever_they_fall():
     mended = without_spikes(hit)
     assert np.abs(mended.outputs - record.outputs).max() < 12.0 * noise_of(record)[0]
     assert without_spikes(record) is record
+    for samples in (0, 1, 5, 30):
+        few = record.part(0, samples)
+        assert without_spikes(few) is few
 
 
 def test_many_spikes_are_left_where_they_are():
