@@ -1,6 +1,6 @@
 """What a busy machine makes of recordings, and what the diagnosis makes of those. A command, no test:
 
-    python benchmarks/measuring/measure_busy.py --repeat 8 --busy 8 --keep FOLDER -o FILE.json
+    python benchmarks/measuring/measure_busy.py --repeat 9 --busy 8 --keep FOLDER -o FILE.json
 
 Each run records several rigs at once beside ``--busy`` processes that only compute: twins whose terms are
 exactly the baseline. Then the machine is left alone, and what each device sent is diagnosed with that
@@ -29,6 +29,7 @@ from labhil.diagnose.diagnosis import METHODS
 from labhil.errors import LabhilError
 from labhil.experiment.experiment import parse_experiment
 from labhil.experiment.run import run_experiment
+from labhil.recording.contents import how_it_ended
 from labhil.recording.reader import read_recording
 from measured import tell
 
@@ -98,8 +99,8 @@ def experiment(seed: int, options: argparse.Namespace) -> str:
     return "\n".join(lines)
 
 
-def record(seed: int, options: argparse.Namespace, folder: Path) -> Path | None:
-    """Record one run beside busy processes; None where it could not follow its steps."""
+def record(seed: int, options: argparse.Namespace, folder: Path) -> None:
+    """Record one run beside busy processes, or as much of it as the machine allows."""
     for rig in options.rigs:
         text = f'[rig]\nkind = "{rig}"\n[known]\n{KNOWN[rig]}\n'
         (folder / f"{rig}.toml").write_text(text, encoding="utf-8")
@@ -108,8 +109,6 @@ def record(seed: int, options: argparse.Namespace, folder: Path) -> Path | None:
         result = run_experiment(parse_experiment(experiment(seed, options), folder / "e.toml"), folder)
     if result.exit_status != 0:
         print(f"seed {seed}: the run failed: {result.reason}", file=sys.stderr, flush=True)
-        return None
-    return result.path
 
 
 def examine(path: Path, device: str) -> dict[str, Any]:
@@ -119,6 +118,7 @@ def examine(path: Path, device: str) -> dict[str, Any]:
     clock = data.clock
     found: dict[str, Any] = {
         "recording": path.name,
+        "run": how_it_ended(recording),
         "rig": device,
         "step_ms": round(1e3 * float(np.median(np.diff(data.t))), 6),
         "drift_ppm": round(1e6 * clock.drift, 1),
@@ -159,13 +159,12 @@ def main() -> None:
     options = parser.parse_args()
     runs: list[dict[str, Any]] = []
     refused: list[dict[str, Any]] = []
-    failed = 0
     with tempfile.TemporaryDirectory() as directory:
         folder = options.recordings or options.keep or Path(directory)
         folder.mkdir(parents=True, exist_ok=True)
         os.environ["XDG_RUNTIME_DIR"] = directory
         for seed in range(options.first, options.first + (0 if options.recordings else options.repeat)):
-            failed += record(seed, options, folder) is None
+            record(seed, options, folder)
         for path in sorted(folder.glob("*.mcap")) if not options.record_only else ():
             for device in dict.fromkeys(each.device for each in read_recording(path).streams):
                 if device in STEPS:
@@ -177,7 +176,7 @@ def main() -> None:
         "busy": options.busy,
         "seeds": [options.first, options.first + options.repeat - 1],
         "speed": options.speed,
-        "failed_runs": failed,
+        "runs_ended_early": len({each["recording"] for each in (*runs, *refused) if each["run"] != "done"}),
         "diagnosed": len(runs),
         "named_something": {method: sum(bool(run[method]["missing"]) for run in runs) for method in METHODS},
         "verdicts": {method: sorted(run[method]["verdict"] for run in runs) for method in METHODS},

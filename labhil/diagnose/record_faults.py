@@ -137,8 +137,9 @@ def leads(record: Record) -> list[Fault]:
     name, joint = record.channel(lead.output)
     source = record.input_names[lead.input]
     shift = -record.period * max(1, round(lead.samples))
+    count = f"{lead.samples:.2g}"
     say = (
-        f"{name} answers {source} {lead.samples:.2g} samples ({lead.samples * record.period:.3g} s) before "
+        f"{name} answers {source} {count} sample{'' if count == '1' else 's'} ({lead.samples * record.period:.3g} s) before "
         f"{source} changes (p = {lead.p_value:.1g}): no rig does, so the stamps of {source} are late. Stamp "
         f"both by one clock, or import the table again with "
         f"`[channels] {source} = {{ …, shift = {shift:.6g} }}`."
