@@ -138,9 +138,9 @@ def leads(record: Record) -> list[Fault]:
     source = record.input_names[lead.input]
     shift = -record.period * max(1, round(lead.samples))
     count = f"{lead.samples:.2g}"
+    samples = f"{count} sample{'' if count == '1' else 's'} ({lead.samples * record.period:.3g} s)"
     say = (
-        f"{name} answers {source} {count} sample{'' if count == '1' else 's'} ({lead.samples * record.period:.3g} s) before "
-        f"{source} changes (p = {lead.p_value:.1g}): no rig does, so the stamps of {source} are late. Stamp "
+        f"{name} answers {source} {samples} before {source} changes (p = {lead.p_value:.1g}): no rig does, so the stamps of {source} are late. Stamp "
         f"both by one clock, or import the table again with "
         f"`[channels] {source} = {{ …, shift = {shift:.6g} }}`."
     )
