@@ -140,8 +140,8 @@ def leads(record: Record) -> list[Fault]:
     count = f"{lead.samples:.2g}"
     samples = f"{count} sample{'' if count == '1' else 's'} ({lead.samples * record.period:.3g} s)"
     say = (
-        f"{name} answers {source} {samples} before {source} changes (p = {lead.p_value:.1g}): no rig does, so "
-        f"the stamps of {source} are late. Stamp both by one clock, or import the table again with "
+        f"{name} answers {source} {samples} before {source} changes (p = {lead.p_value:.1g}): no rig does, "
+        f"so the stamps of {source} are late. Stamp both by one clock, or import the table again with "
         f"`[channels] {source} = {{ …, shift = {shift:.6g} }}`."
     )
     return [Fault(Kind.LEAD, name, joint, whole, 1.0, say)]
