@@ -19,6 +19,7 @@ import numpy as np
 from labhil.diagnose.fault import Fault, Kind
 from labhil.diagnose.hold import jumps_of_levels
 from labhil.diagnose.intake import TOLERATED, faults_of
+from labhil.ending import EndedEarly
 from labhil.errors import UsageError
 from labhil.identify.fitted import Fitted, fit_terms
 from labhil.identify.windows import noise_of
@@ -59,7 +60,10 @@ def all_faults(model: Model, record: Record) -> tuple[Fault, ...]:
     found = faults_of(record)
     if any(fault.share > TOLERATED.get(fault.kind, 1.0) for fault in found):
         return found
-    late = late_input(model, record)
+    try:
+        late = late_input(model, record)
+    except EndedEarly:  # whatever comes next ends as well, and has a result to show
+        late = None
     return found if late is None else (*found, late)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -10,8 +11,9 @@ import pytest
 from labhil.diagnose.hold import evident_hold
 from labhil.diagnose.intake import Kind, faults_of, usable, with_censored, without_spikes
 from labhil.diagnose.lead import lead_of
-from labhil.diagnose.timing import better_hold, late_input, why_untimed
+from labhil.diagnose.timing import all_faults, better_hold, late_input, why_untimed
 from labhil.diagnose.wraps import wraps_of
+from labhil.ending import Deadline
 from labhil.identify.problem import Problem
 from labhil.identify.quantiser import held_samples, uneven_step
 from labhil.identify.windows import fit_windows, noise_of, with_least_noise
@@ -176,6 +178,15 @@ def test_in_closed_loop_only_an_input_that_is_late_is_called_so(samples, control
         assert (fault is None) == (samples == 0)
         assert fault is None or f"shift = {-0.01 * samples:.6g}" in fault.statement
         assert why_untimed(model, record) is None
+
+
+def test_an_end_that_was_asked_for_waits_for_what_has_a_result():
+    record = late(motor(smooth()), 2)
+    model = model_for(default_rig("dc_motor"), record)
+    with Deadline(1e-9):
+        time.sleep(0.01)
+        assert all_faults(model, record) == faults_of(record)
+    assert [fault.kind for fault in all_faults(model, record)] == [Kind.LEAD]
 
 
 def test_where_the_model_is_not_asked_about_late_stamps_that_is_said():
