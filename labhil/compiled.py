@@ -112,3 +112,22 @@ def specialised(function: Function) -> Function:
     """
     alone: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     return cast(Function, numba.njit(**HOW, **alone)(function))
+
+
+def by_type(
+    function: Callable[..., object], laws: dict[type, Callable[..., object]], other: Callable[..., object]
+) -> None:
+    """Let kernels call ``function`` and have inside the law that belongs to its last argument's type.
+
+    Args:
+        function: What chooses likewise outside of kernels.
+        laws: Laws by the class of a named tuple.
+        other: The law for arguments of every other type.
+    """
+    overload: Any = numba.extending.overload
+
+    def choose(*arguments: Any) -> Callable[..., object]:
+        law: Any = laws.get(getattr(arguments[-1], "instance_class", object), other)
+        return cast(Callable[..., object], getattr(law, "py_func", law))
+
+    overload(function, jit_options={**HOW, "forceinline": True}, strict=False)(choose)

@@ -14,7 +14,7 @@ import numpy as np
 from labhil.analysis.results import Source
 from labhil.analysis.still import constant
 from labhil.diagnose.fault import Fault
-from labhil.diagnose.intake import with_censored
+from labhil.diagnose.intake import with_censored, without_spikes
 from labhil.diagnose.timing import all_faults, why_untimed
 from labhil.errors import OptionError, RecordingError
 from labhil.identify.plausibility import doubts_of
@@ -155,7 +155,7 @@ def load_material(
     learning = tuple((recording, record, "") for recording, record in zip(found, records, strict=True))
     if not test_paths and holdout == 0.0:
         with naming(found):
-            learn = model.prepare(measured)
+            learn = model.prepare(without_spikes(measured))
         return Material(rig, model, learn, learn, False, measured, learning, held_out=False)
     if not test_paths:
         with naming(found):
@@ -167,9 +167,9 @@ def load_material(
         model = several(model, (), 1)
     judging = tuple((recording, record, "test") for recording, record in zip(tested, tests, strict=True))
     with naming(found):
-        learn = model.prepare(measured)
+        learn = model.prepare(without_spikes(measured))
     with naming(tested):
-        judge = model.prepare(test)
+        judge = model.prepare(without_spikes(test))
         _refuse_horizon(rig, judge)
     return Material(rig, model, learn, judge, True, measured, (*learning, *judging))
 
@@ -277,7 +277,7 @@ def _held_out(
         # before they are put together, which none of them may be missing from
         for (learn, _), recording in zip(halves, recordings, strict=True):
             _long_enough(learn, recording)
-    learn, judge = (model.prepare(joined(half)) for half in zip(*halves, strict=True))
+    learn, judge = (model.prepare(without_spikes(joined(half))) for half in zip(*halves, strict=True))
     for part, recording in zip(learn.recordings(), recordings, strict=True):
         _long_enough(part, recording)
     return learn, judge

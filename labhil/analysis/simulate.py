@@ -9,6 +9,7 @@ from labhil.analysis.material import Taken, measured_of, naming, read_all, refus
 from labhil.analysis.results import SavedModel, finite, score_json, values_of
 from labhil.analysis.schema import Score as ScorePart
 from labhil.analysis.schema import checked
+from labhil.diagnose.intake import without_spikes
 from labhil.errors import ModelFileError, OptionError
 from labhil.identify.fitted import start_theta
 from labhil.identify.score import Score, score
@@ -50,7 +51,7 @@ def simulated(taken: Taken, saved: SavedModel, kind: str | None, horizon: float 
     if foreign:
         raise ModelFileError(f"{saved}: {foreign[0]}: a model of {rig.kind.name} has no such parameter")
     with naming([recording]):
-        record = told_apart(model, model.prepare(measured))
+        record = told_apart(model, model.prepare(without_spikes(measured)))
         found = score(model, start_theta(model, values), record, noise_of(record), horizon)
     part = checked(ScorePart, finite(score_json(found)), "the score")
     return Simulated(str(recording.path), record, found, part)

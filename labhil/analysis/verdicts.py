@@ -18,6 +18,8 @@ VERDICTS = {
     "not_decidable": "These data cannot tell.",
 }
 
+NOT_ASKED = "these data do not tell whether it suffices"
+"""Instead of a p value, where the data are at fault or know nothing."""
 
 FIT_VERDICTS = {
     "explained": "Explained to the noise",

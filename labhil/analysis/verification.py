@@ -9,14 +9,17 @@ from pathlib import Path
 from typing import Any
 
 from labhil.analysis.kept_curve import under_kept_curve
-from labhil.analysis.material import Taken, refuse_holes, rig_of
+from labhil.analysis.material import Taken, measured_of, refuse_holes, rig_of
 from labhil.analysis.results import Reference, Source, accepted_of, finite, score_json
 from labhil.analysis.schema import VerificationPart, checked
+from labhil.diagnose.intake import without_spikes
+from labhil.diagnose.timing import all_faults
 from labhil.diagnose.verify import ALPHA, Verification, verify
 from labhil.errors import ModelFileError, OptionError, RecordingError
+from labhil.identify.plausibility import doubts_of
 from labhil.identify.windows import FEWEST_SAMPLES
 from labhil.physics.model import Record
-from labhil.physics.rigs import model_for, record_of
+from labhil.physics.rigs import model_for
 from labhil.recording.reader import read_recording
 from labhil.rig import RigFile
 
@@ -60,17 +63,21 @@ def verify_study(
             f"{model_file}: rig: expected a model of {rig.kind.name}, as the recording {path}, "
             f"found one of {accepted.rig}"
         )
-    record = record_of(recording, rig.kind)
-    refuse_holes(path, record)
+    records, record = measured_of([recording], rig)
+    refuse_holes(path, records[0])
     if len(record) < 2 * FEWEST_SAMPLES:
         raise RecordingError(
             f"{path}: too short to verify: {len(record)} samples, at least {2 * FEWEST_SAMPLES} are needed"
         )
     model = under_kept_curve(model_for(rig, record), model_file)
-    found = verify(model, model.prepare(record), accepted, alpha=alpha, progress=progress)
+    found = verify(model, model.prepare(without_spikes(record)), accepted, alpha=alpha, progress=progress)
     source = Source(str(path), recording.sha256, model.kind, len(record), _duration(record), "test")
     seconds = time.perf_counter() - began
     data = verification_json(found, source, model_file, seconds)
+    # a recording may contradict a model because of what is wrong with the recording
+    data["faults"] = finite([asdict(fault) for fault in all_faults(model, record)])
+    doubts = doubts_of(record, rig, misfit=not found.consistent, time_column=recording.time_column)
+    data["doubts"] = [doubt.statement for doubt in doubts]
     return VerificationResult(found, tuple(recording.losses()), data)
 
 

@@ -25,6 +25,7 @@ class Kind(StrEnum):
     CLOCK_RATE = "clock_rate"
     NO_DEVICE_CLOCK = "no_device_clock"
     NO_EXCITATION = "no_excitation"
+    UNDERSAMPLED = "undersampled"
     WRAPPED = "wrapped"
     LEAD = "lead"
 
@@ -35,7 +36,8 @@ class Fault:
 
     ``times`` are spans (begin, end) in s of the record; ``share`` is the part of the
     samples (of the time, for gaps) that is affected; ``statement`` says what, where, when, how much and
-    what to do about it. Of several recordings ``recording`` is the one, in whose own time ``times`` are.
+    what to do about it. Of several recordings ``recording`` is the one, in whose own time ``times`` are. What
+    is ``mended`` takes nothing from numbers that are calculated from the data.
     """
 
     kind: Kind
@@ -45,6 +47,7 @@ class Fault:
     share: float
     statement: str
     recording: int | None = None
+    mended: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ from labhil.identify.quantiser import converter_step
 from labhil.identify.windows import noise_of
 from labhil.physics.measured_input import MEASURED_INPUTS
 from labhil.physics.model import Record
-from labhil.signals import FloatArray
+from labhil.signals import FloatArray, IntArray
 
 TOLERATED = {
     Kind.NOT_FINITE: 0.0,
@@ -36,12 +36,16 @@ TOLERATED = {
     Kind.CLOCK_STEP: 0.0,
     Kind.WRAPPED: 0.0,
     Kind.LEAD: 0.0,
+    Kind.UNDERSAMPLED: 0.0,
 }
 """Shares up to which a fault is only reported; what is not listed never makes data unfit by itself.
 
 Readings at the end of a range still say "at least this", and count as that in residuals; where they are more
 than half of a channel, not even its median is known.
 """
+
+WHOLE = (Kind.GAP, Kind.NO_EXCITATION, Kind.UNDERSAMPLED)
+"""Faults that are no single samples' own."""
 
 UNMARKED = 0.01
 """The same of readings at the end of a range that are not marked as censored: they count as readings."""
@@ -105,6 +109,24 @@ def with_censored(record: Record) -> Record:
     return replace(record, censored=marks) if marks.any() else record
 
 
+def without_spikes(record: Record) -> Record:
+    """A record with the mean of both neighbours in the place of each single spike of an output.
+
+    Where there are too many of them the record stays as it was measured.
+    """
+    if not len(record) or not np.isfinite(record.outputs).all():
+        return record
+    outputs = record.outputs.copy()
+    for each, span in zip(record.recordings(), record.spans, strict=True):
+        sigma = noise_of(each) if len(each) > 3 else np.zeros(outputs.shape[1])
+        for j, channel in enumerate(_outputs(each, sigma)):
+            lone = _spikes_of(channel)
+            if len(lone) <= TOLERATED[Kind.OUTLIER] * len(each):
+                x = channel.values
+                outputs[span[0] + lone, j] = 0.5 * (x[lone - 1] + x[lone + 1])
+    return record if np.array_equal(outputs, record.outputs) else replace(record, outputs=outputs)
+
+
 def usable(record: Record, found: Sequence[Fault]) -> Usable:
     """Which samples of a record are sound, and whether enough of them are.
 
@@ -114,7 +136,7 @@ def usable(record: Record, found: Sequence[Fault]) -> Usable:
     sound = np.ones(len(record), dtype=bool)
     for number, (each, span) in enumerate(zip(record.recordings(), record.spans, strict=True), 1):
         for fault in (f for f in found if f.recording in (None, number)):
-            for begin, end in fault.times if fault.kind not in (Kind.GAP, Kind.NO_EXCITATION) else ():
+            for begin, end in fault.times if fault.kind not in WHOLE else ():
                 sound[slice(*span)] &= (each.t < begin) | (each.t > end)
     tolerated = TOLERATED if record.censored is not None else {**TOLERATED, Kind.SATURATED: UNMARKED}
     fit = all(fault.share <= tolerated.get(fault.kind, 1.0) for fault in found)
@@ -123,10 +145,7 @@ def usable(record: Record, found: Sequence[Fault]) -> Usable:
 
 def _measured(record: Record, sigma: FloatArray) -> list[Channel]:
     """Outputs, the other channels, and the inputs where they are measured too (those of an arm's joints)."""
-    channels = [
-        Channel(*record.channel(j), x, float(sigma[j]), record.inputs, record.output_units[j] in ("m", "rad"))
-        for j, x in enumerate(record.outputs.T)
-    ]
+    channels = _outputs(record, sigma)
     others = {name: x for name, x in record.auxiliary.items() if not _planned(name)}
     channels += [Channel(name, None, x, _noise(x), record.inputs, rests=True) for name, x in others.items()]
     arm = bool(record.output_joints and record.output_joints[0] is not None)
@@ -136,6 +155,13 @@ def _measured(record: Record, sigma: FloatArray) -> list[Channel]:
         if arm or name in MEASURED_INPUTS
     ]
     return channels
+
+
+def _outputs(record: Record, sigma: FloatArray) -> list[Channel]:
+    return [
+        Channel(*record.channel(j), x, float(sigma[j]), record.inputs, record.output_units[j] in ("m", "rad"))
+        for j, x in enumerate(record.outputs.T)
+    ]
 
 
 def _planned(name: str) -> bool:
@@ -148,13 +174,19 @@ def _noise(x: FloatArray) -> float:
     return float(noise_of(single)[0]) if len(x) > 3 else 0.0
 
 
+def _spikes_of(channel: Channel) -> IntArray:
+    """Places of single spikes of a channel that does not wrap, (k,)."""
+    x = channel.values
+    return spikes(x, max(channel.sigma, converter_step(x) / np.sqrt(12.0)), channel.drive)
+
+
 def _of_channel(record: Record, channel: Channel) -> list[Fault]:
     """Stuck, saturated, spikes and steps of one channel."""
     drive, wraps = channel.drive, wraps_of(channel.values) if channel.position else None
     found = [] if wraps is None else [wrapped(record, channel.name, channel.joint, wraps)]
     x = channel.values if wraps is None else np.unwrap(channel.values, period=wraps.period)
     sigma = max(channel.sigma, converter_step(x) / np.sqrt(12.0))
-    lone = spikes(x, sigma, drive)
+    lone = _spikes_of(replace(channel, values=x))
     calm = x.copy()
     calm[lone] = x[lone - 1]
     limits = _ends_of_range(record, calm, drive)
@@ -211,12 +243,16 @@ def _saturated(record: Record, channel: Channel, limit: float) -> Fault:
     edges = np.flatnonzero(np.diff(np.r_[False, at, False].astype(np.int8)))
     spans = list(zip(edges[::2], edges[1::2] - 1, strict=True))
     share = float(at.mean())
-    return fault_of(
+    # with_censored marks those of outputs, but not of an arm's
+    counts = channel.name in record.output_names and channel.joint is None
+    counted = ", and count as that" if counts else ""
+    fault = fault_of(
         record, channel, Kind.SATURATED, spans, share,
         f"{channel.called} is clipped at {limit:.6g}: {at.sum()} samples ({percent(share)}) read exactly "
         f"this value{when(record, spans)}, although its noise should scatter them. They say only that it was "
-        "there or beyond, and count as that. Check the sensor's and the converter's range, or excite less.",
+        f"there or beyond{counted}. Check the sensor's and the converter's range, or excite less.",
     )  # fmt: skip
+    return replace(fault, mended=counts and share <= TOLERATED[Kind.SATURATED])
 
 
 def _stuck(record: Record, channel: Channel, spans: Sequence[tuple[int, int]]) -> Fault:
@@ -237,13 +273,16 @@ def _outliers(record: Record, channel: Channel, places: np.ndarray) -> Fault:
     worst = int(np.argmax(heights))
     share = len(places) / len(record)
     spans = [(int(i), int(i)) for i in places]
-    return fault_of(
+    mended = channel.name in record.output_names and share <= TOLERATED[Kind.OUTLIER]
+    advice = "the mean of their neighbours stands in their place" if mended else "leave these samples out"
+    fault = fault_of(
         record, channel, Kind.OUTLIER, spans, share,
         f"{channel.called} has {len(places)} single spike{'s' if len(places) > 1 else ''} ({percent(share)} "
         f"of the samples), the largest of {heights[worst]:.4g} at {record.t[places[worst]]:.4g} s, "
         f"{heights[worst] / max(channel.sigma, 1e-300):.0f} times the noise. Look for loose contacts and "
-        "disturbed transmission; leave these samples out.",
+        f"disturbed transmission; {advice}.",
     )  # fmt: skip
+    return replace(fault, mended=mended)
 
 
 def _zero_step(record: Record, channel: Channel, place: int) -> Fault:
@@ -290,4 +329,14 @@ def wrapped(record: Record, name: str, joint: int | None, wraps: Wraps) -> Fault
     return Fault(Kind.WRAPPED, name, joint, times, count / len(record), say)
 
 
-__all__ = ["TOLERATED", "Fault", "Kind", "Usable", "faults", "faults_of", "usable", "with_censored"]
+__all__ = [
+    "TOLERATED",
+    "Fault",
+    "Kind",
+    "Usable",
+    "faults",
+    "faults_of",
+    "usable",
+    "with_censored",
+    "without_spikes",
+]

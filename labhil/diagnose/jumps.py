@@ -26,6 +26,17 @@ SUDDEN = 3.0
 NOTABLE = 0.02
 """Share of an input's range under which none of its changes is a jump: a measured input has noise."""
 
+ROUNDS = 3
+
+ENOUGH = 3
+"""Spikes elsewhere from which one close upon a jump of an input is known for another of them …"""
+
+AS_HIGH = 0.5
+"""… where it has this share of their median height …"""
+
+OFTEN = 3.0
+"""… and such ones come at most this many times as often there as elsewhere."""
+
 STEP_BEYOND = 3.0
 """A step of the zero, in largest changes elsewhere in the recording."""
 
@@ -41,6 +52,22 @@ def spikes(x: FloatArray, sigma: float, inputs: FloatArray) -> IntArray:
     """
     if len(x) < 2 * REACH + 3:
         return np.empty(0, dtype=np.int64)
+    near, calm = input_jumps(inputs), x.copy()
+    found: list[int] = []
+    for _ in range(ROUNDS):
+        places = _standing_out(calm, sigma)
+        places = places[~near[places]]
+        if not len(places):
+            break
+        # spikes that stand close together hide each other
+        calm[places] = 0.5 * (calm[places - 1] + calm[places + 1])
+        found += places.tolist()
+    sure = np.array(sorted(found), dtype=np.int64)
+    return np.sort(np.concatenate([sure, _alike(x, sure, _standing_out(calm, sigma), near)]))
+
+
+def _standing_out(x: FloatArray, sigma: float) -> IntArray:
+    """The same, also where an input jumps."""
     change = np.diff(x)
     rises, falls = change[:-1], change[1:]
     height = np.where(rises * falls < 0.0, np.minimum(np.abs(rises), np.abs(falls)), 0.0)
@@ -49,8 +76,22 @@ def spikes(x: FloatArray, sigma: float, inputs: FloatArray) -> IntArray:
     # neighbours agree with each other: a peak of a fast motion has slopes, a spike has a floor
     floor = np.abs(rises + falls) < 0.5 * height + 3.0 * sigma
     found = (height > BEYOND_NOISE * sigma) & (height > BEYOND_MOTION * usual) & floor
-    places = np.flatnonzero(found) + 1
-    return places[~input_jumps(inputs)[places]]
+    return np.flatnonzero(found).astype(np.int64) + 1
+
+
+def _alike(x: FloatArray, sure: IntArray, others: IntArray, near: np.ndarray) -> IntArray:
+    """Those of ``others``, close upon jumps of an input, that are as high as the ``sure`` ones elsewhere.
+
+    None where they come with the jumps: spikes fall anywhere.
+    """
+    if len(sure) < ENOUGH:
+        return np.empty(0, dtype=np.int64)
+    height = np.abs(x - 0.5 * (np.roll(x, 1) + np.roll(x, -1)))
+    others = others[near[others]]
+    by_chance = len(sure) / float(np.sum(~near)) * float(np.sum(near))
+    if len(others) > max(OFTEN * by_chance, 1.0):
+        return np.empty(0, dtype=np.int64)
+    return others[height[others] >= AS_HIGH * np.median(height[sure])]
 
 
 def zero_steps(x: FloatArray, sigma: float, inputs: FloatArray) -> IntArray:

@@ -7,6 +7,7 @@ import numpy as np
 from labhil.diagnose.fault import Channel, Fault, Kind, fault_of, percent, when
 from labhil.diagnose.lag import partings
 from labhil.diagnose.lead import lead_of
+from labhil.identify.sampling import scattering_statement
 from labhil.physics.model import Record
 from labhil.signals import FloatArray
 
@@ -99,7 +100,10 @@ def clock_drifts(record: Record) -> list[Fault]:
 
 
 def no_excitation(record: Record, sigma: FloatArray) -> list[Fault]:
-    """Inputs that do not change, and outputs that hardly leave their noise ``sigma`` (channels,)."""
+    """Inputs that do not change, and outputs that hardly leave their noise ``sigma`` (channels,).
+
+    Or that scatter more from sample to sample than noise does.
+    """
     whole = ((float(record.t[0]), float(record.t[-1])),)
     found = []
     if not np.any(np.ptp(record.inputs, axis=0) > 0.0):
@@ -107,8 +111,12 @@ def no_excitation(record: Record, sigma: FloatArray) -> list[Fault]:
         say = f"No input changes ({names}): nothing can be learnt of how the rig answers. Excite it."
         found.append(Fault(Kind.NO_EXCITATION, record.input_names[0], None, whole, 1.0, say))
     for j, spread in enumerate(np.std(record.outputs, axis=0)):
-        if spread <= MOVES * sigma[j]:
-            name, joint = record.channel(j)
+        name, joint = record.channel(j)
+        scatters = scattering_statement(record, j, float(sigma[j]))
+        if scatters is not None:
+            # an arm's other joints are no worse for it
+            found.append(Fault(Kind.UNDERSAMPLED, name, joint, whole, float(joint is None), scatters))
+        elif spread <= MOVES * sigma[j]:
             where = name if joint is None else f"{name} of joint {joint}"
             say = (
                 f"{where} hardly moves: its standard deviation {spread:.3g} {record.output_units[j]} is "
@@ -129,10 +137,11 @@ def leads(record: Record) -> list[Fault]:
     name, joint = record.channel(lead.output)
     source = record.input_names[lead.input]
     shift = -record.period * max(1, round(lead.samples))
+    count = f"{lead.samples:.2g}"
+    samples = f"{count} sample{'' if count == '1' else 's'} ({lead.samples * record.period:.3g} s)"
     say = (
-        f"{name} answers {source} {lead.samples:.2g} samples ({lead.samples * record.period:.3g} s) before "
-        f"{source} changes (p = {lead.p_value:.1g}): no rig does, so the stamps of {source} are late. Stamp "
-        f"both by one clock, or import the table again with "
+        f"{name} answers {source} {samples} before {source} changes (p = {lead.p_value:.1g}): no rig does, "
+        f"so the stamps of {source} are late. Stamp both by one clock, or import the table again with "
         f"`[channels] {source} = {{ …, shift = {shift:.6g} }}`."
     )
     return [Fault(Kind.LEAD, name, joint, whole, 1.0, say)]

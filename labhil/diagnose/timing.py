@@ -2,6 +2,11 @@
 
 Half a sample is little beside what physics a model may lack, so nothing is concluded unless the better of two
 fits leaves no more than noise.
+
+In closed loop the fit of the outputs alone prefers an input that is too early: the command a sample later is
+made of the noise of the output, and tells of it. So what is compared is how probable outputs and input are
+together: with an input that is stamped late it can have been made of older outputs only, and what a newer one
+tells of it is lost (the direct method needs the order of causes right: Söderström and Stoica 1989, ch. 10).
 """
 
 from __future__ import annotations
@@ -12,7 +17,9 @@ from dataclasses import replace
 import numpy as np
 
 from labhil.diagnose.fault import Fault, Kind
+from labhil.diagnose.hold import jumps_of_levels
 from labhil.diagnose.intake import TOLERATED, faults_of
+from labhil.ending import EndedEarly
 from labhil.errors import UsageError
 from labhil.identify.fitted import Fitted, fit_terms
 from labhil.identify.windows import noise_of
@@ -38,14 +45,14 @@ FAR_BETTER = 20.0
 FURTHEST = 2
 """Samples of lead that are tried."""
 
-ANSWERED_WITHIN = 4
-"""Samples within which a controller answers noise of its measurement."""
+PAST = 10
+"""Samples of an input and of the outputs that tell what a controller does next."""
 
-CLEAR = 4.0
-"""Standard errors by which that stands out: by chance in 1 of 4000 recordings, which then are not timed."""
+SMALLEST = 1e-6
+"""Share of an input's spread below which what is left of a prediction is rounding."""
 
-TERMS = ("viscous_friction", "coulomb_friction")
-"""What nearly every rig has, and what delays its answers."""
+TERMS = ("viscous_friction", "coulomb_friction", "constant_force")
+"""What nearly every rig has: friction, which delays its answers, and a load or an offset."""
 
 
 def all_faults(model: Model, record: Record) -> tuple[Fault, ...]:
@@ -53,7 +60,10 @@ def all_faults(model: Model, record: Record) -> tuple[Fault, ...]:
     found = faults_of(record)
     if any(fault.share > TOLERATED.get(fault.kind, 1.0) for fault in found):
         return found
-    late = late_input(model, record)
+    try:
+        late = late_input(model, record)
+    except EndedEarly:  # whatever comes next ends as well, and has a result to show
+        late = None
     return found if late is None else (*found, late)
 
 
@@ -62,7 +72,7 @@ def better_hold(model: Model, record: Record) -> Hold | None:
     part = _part(model, record)
     if part is None:
         return None
-    best = _best_of(model, [replace(part, input_holds=(hold,)) for hold in Hold])
+    best = _best_of(model, [(replace(part, input_holds=(hold,)), 0) for hold in Hold])
     return None if best is None else tuple(Hold)[best]
 
 
@@ -74,7 +84,7 @@ def late_input(model: Model, record: Record) -> Fault | None:
     part = _part(model, record)
     if part is None:
         return None
-    best = _best_of(model, [_earlier(part, samples) for samples in range(FURTHEST + 1)])
+    best = _best_of(model, [(_earlier(part, samples), samples) for samples in range(FURTHEST + 1)])
     if not best:
         return None
     name, shift = record.input_names[0], -best * record.period
@@ -100,8 +110,6 @@ def why_untimed(model: Model, record: Record) -> str | None:
         reason = "it is measured, and the filter and the noise of its sensor shift it, too"
     elif len(record.begins) > 1:
         reason = "only a recording by itself is looked at"
-    elif len(record) >= FEWEST_SAMPLES and _is_fed_back(record.part(0, MOST_SAMPLES)):
-        reason = "a controller answers the noise of the output, after which an early input fits better"
     else:
         return None
     return f"Whether {name} is stamped a sample or two late was not checked by the model: {reason}."
@@ -120,20 +128,21 @@ def _part(model: Model, record: Record) -> Record | None:
     return part if moves else None
 
 
-def _is_fed_back(record: Record) -> bool:
-    """Whether a controller answers the noise of an output at once.
+def _surprise(record: Record, newest: int) -> float:
+    """Twice the negative log likelihood of an input, but for a constant, given what it can be made of.
 
-    Its command a sample later then tells something of that noise, so that the command a sample earlier
-    explains a part of it: in closed loop a fit prefers an input that is a little too early (Söderström and
-    Stoica 1989, ch. 10, on the bias of direct identification). Third differences hold noise and no motion.
+    That is its own past and the outputs up to the one ``newest`` samples earlier. One that is held in levels
+    counts as made of nothing: a relay's jumps are too few to tell much of the noise.
     """
-    answer = np.diff(record.inputs[:, 0], 3)
-    for noise in np.diff(record.outputs, 3, axis=0).T:
-        size = float(np.linalg.norm(noise) * np.linalg.norm(answer))
-        for lag in range(1, ANSWERED_WITHIN + 1):
-            if abs(float(noise[:-lag] @ answer[lag:])) * np.sqrt(len(noise)) > CLEAR * size > 0.0:
-                return True
-    return False
+    u = record.inputs[:, 0]
+    if len(jumps_of_levels(u)):
+        return 0.0
+    rows = np.arange(PAST, len(u))[:, None]
+    # the oldest are the same ones whatever the newest, so that more of them never tell less
+    known = [u[rows - np.arange(1, PAST)], *(y[rows - np.arange(newest, PAST)] for y in record.outputs.T)]
+    a = np.hstack([np.ones_like(rows), *((each - each.mean()) / (np.std(each) or 1.0) for each in known)])
+    left = u[rows[:, 0]] - a @ np.linalg.lstsq(a, u[rows[:, 0]], rcond=None)[0]
+    return float(len(u) * np.log(np.mean(left**2) + (SMALLEST * np.std(u)) ** 2))
 
 
 def _earlier(record: Record, samples: int) -> Record:
@@ -145,14 +154,20 @@ def _earlier(record: Record, samples: int) -> Record:
     return replace(record, inputs=inputs)
 
 
-def _best_of(model: Model, records: Sequence[Record]) -> int | None:
-    """Which of the records a model fits far better; brief fits propose it, thorough ones confirm it.
+def _best_of(model: Model, records: Sequence[tuple[Record, int]]) -> int | None:
+    """Which of the records, with how many samples earlier their input is, a model explains far better.
 
-    A brief fit may stay in a local minimum, which is far worse than another's best.
+    Brief fits propose it, thorough ones confirm it: a brief fit may stay in a local minimum, which is far
+    worse than another's best.
     """
-    if _clearly_best(_fits(model, records, thorough=False)) is None:
+    # of an input that is straight between samples an output knows one more
+    newest = [earlier + (record.input_holds[0] is Hold.LINEAR) for record, earlier in records]
+    original = records[0][0]
+    surprises = np.array([_surprise(original, n) for n in newest])
+    fitted = [record for record, _ in records]
+    if _clearly_best(_fits(model, fitted, thorough=False), surprises) is None:
         return None
-    return _clearly_best(_fits(model, records, thorough=True))
+    return _clearly_best(_fits(model, fitted, thorough=True), surprises)
 
 
 def _fits(model: Model, records: Iterable[Record], *, thorough: bool) -> list[Fitted]:
@@ -166,11 +181,11 @@ def _fits(model: Model, records: Iterable[Record], *, thorough: bool) -> list[Fi
         return []
 
 
-def _clearly_best(fits: list[Fitted]) -> int | None:
+def _clearly_best(fits: list[Fitted], surprises: FloatArray) -> int | None:
     """Which fit is far better than the first, or, being the first, than all others; None where none is."""
     if not fits:
         return None
-    costs = np.array([fit.solution.cost for fit in fits])
+    costs = np.array([fit.solution.cost for fit in fits]) + surprises
     best = int(np.argmin(costs))
     other = costs[0] if best else np.min(costs[1:])
     sure = other - costs[best] > 2.0 * FAR_BETTER and fits[best].noise < TO_THE_NOISE

@@ -75,7 +75,11 @@ class DeviceRun:
         self.elapsed = 0.0
         self.error: LabhilError | None = None
         self.rests = ""
-        """Why the device cannot follow its steps for now, though nothing has failed; empty when it can."""
+        """Why the device cannot follow its steps for now, though nothing has failed; empty when it can.
+
+        It stands until the run has made the device safe: one that was silent for a moment may be back
+        before the run has looked, and its steps have to be started again all the same.
+        """
         self.comes_back = False
         """Whether it will say when it can again; else somebody has to resume the run."""
         self.heard_at = time.monotonic()
@@ -98,7 +102,7 @@ class DeviceRun:
         ]
         self._started_at_ns: int | None = None
         self._since_ns = 0
-        self._resting = False
+        self._resting = self._noticed = self._is_back = False
         self._stalled = ""
         self._running = False
         self._token = ""
@@ -166,13 +170,15 @@ class DeviceRun:
         self._stalled = ""
         self._approach.begin()
         self._waypoints.begin()
-        self._resting = False
+        self._resting = self._noticed = self._is_back = False
         self._running = True
 
     def make_safe(self, reason: str) -> None:
         """Bring the device to its safe state; raises BusError when its host does not answer."""
         self._running = False
-        self._resting = True
+        self._resting = self._noticed = True
+        if self._is_back:
+            self.rests = ""
         ask(self._bus, command_key(self.plan.name, "safe"), {"reason": reason}, ASK_TIMEOUT)
 
     def _own(self, key: str, payloads: list[bytes]) -> Batch | None:
@@ -266,7 +272,8 @@ class DeviceRun:
         """Note that the device was lost, came back, or that an interlock lets the run wait."""
         kind = event.kind
         if kind == "reconnected":
-            if self.comes_back:
+            self._is_back = self.comes_back
+            if self._is_back and self._noticed:
                 self.rests = ""
             return True
         lost = kind in ("lost", "quiet") and self.plan.section.reconnect
@@ -274,7 +281,7 @@ class DeviceRun:
             return False
         if not self._running and not self._resting:
             return False  # not started, or done
-        self._running, self._resting = False, True
+        self._running, self._resting, self._is_back = False, True, False
         self.rests, self.comes_back = message, lost
         return True
 

@@ -14,6 +14,7 @@ from itertools import combinations
 from math import log, pi
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from labhil.physics.facts import TIME, Fact
 from labhil.physics.model import Record
@@ -41,6 +42,8 @@ LIKELY = 0.7
 
 FEWEST = 16
 """Samples of which anything is concluded."""
+
+BURST = 3
 
 SPIKE = 10.0
 """Times the mean distance of samples from the median of their neighbours and themselves."""
@@ -137,12 +140,10 @@ def _facts(record: Record, rig: RigFile) -> list[Fact]:
 
 
 def _calm(outputs: FloatArray) -> FloatArray:
-    """Outputs (n, channels) without lone samples far from both neighbours: these are a fault of their own."""
-    middle = np.median(np.stack([outputs[:-2], outputs[1:-1], outputs[2:]]), axis=0)
-    off = np.abs(outputs[1:-1] - middle)
-    calm = outputs.copy()
-    calm[1:-1] = np.where(off > SPIKE * np.mean(off, axis=0), middle, outputs[1:-1])
-    return calm
+    """Outputs (n, channels) without bursts of up to three samples: these are a fault of their own."""
+    middle = np.stack([median_filter(column, 2 * BURST + 1, mode="nearest") for column in outputs.T], axis=1)
+    off = np.abs(outputs - middle)
+    return np.where(off > SPIKE * np.mean(off, axis=0), middle, outputs)
 
 
 def _units(record: Record, rig: RigFile) -> dict[str, str]:

@@ -10,6 +10,7 @@ from labhil.identify.adequacy import FLOOR_KNOWN_TO
 from labhil.identify.fitted import Fitted
 from labhil.identify.problem import Problem
 from labhil.identify.quantiser import converter_step
+from labhil.physics.model import Record
 from labhil.physics.terms import keyed
 from labhil.signals import FloatArray, Hold
 
@@ -27,27 +28,27 @@ def sampling_notes(fitted: Fitted, *, explained: bool) -> tuple[str, ...]:
 
     A chopped signal takes its own swings for noise, so that also a fit that is ``explained`` may rest on one.
     """
-    return (*_scattering_channels(fitted), *(() if explained else _coarse_input(fitted)))
+    problem = fitted.problem
+    scatter = [scattering_statement(problem.record, j, each) for j, each in enumerate(problem.sigma.tolist())]
+    return (*filter(None, scatter), *(() if explained else _coarse_input(fitted)))
 
 
-def _scattering_channels(fitted: Fitted) -> list[str]:
-    """Outputs that change from sample to sample as much as over the whole recording.
+def scattering_statement(record: Record, j: int, sigma: float) -> str | None:
+    """What is to be said of an output ``j`` that changes between samples as much as over the recording.
 
-    The noise is read from third differences. Of white noise alone they give its standard deviation; more than
-    that only a signal gives that swings between samples, as a chopped current does.
+    The noise ``sigma`` is read from third differences. Of white noise alone they give its standard deviation;
+    more than that only a signal gives that swings between samples, as a chopped current does. Else None.
     """
-    problem, record = fitted.problem, fitted.problem.record
-    found = []
-    for j, (sigma, spread) in enumerate(zip(problem.sigma, np.std(record.outputs, axis=0), strict=True)):
-        if sigma > FLOOR_KNOWN_TO * spread and spread > converter_step(record.outputs[:, j]):
-            name, unit = keyed(*record.channel(j)), record.output_units[j]
-            found.append(
-                f"{name} changes as much from one sample to the next ({sigma:.3g} {unit}) as in the whole "
-                f"recording ({spread:.3g} {unit}): it was sampled more slowly than it changes, as behind a "
-                "chopper (PWM). Its samples say nothing of its mean between them; filter it before sampling, "
-                "sample faster, or leave it out."
-            )
-    return found
+    spread = float(np.std(record.outputs[:, j]))
+    if not sigma > FLOOR_KNOWN_TO * spread > FLOOR_KNOWN_TO * converter_step(record.outputs[:, j]):
+        return None
+    name, unit = keyed(*record.channel(j)), record.output_units[j]
+    return (
+        f"{name} changes as much from one sample to the next ({sigma:.3g} {unit}) as in the whole "
+        f"recording ({spread:.3g} {unit}): it was sampled more slowly than it changes, as behind a "
+        "chopper (PWM). Its samples say nothing of its mean between them; filter it before sampling, "
+        "sample faster, or leave it out."
+    )
 
 
 def _coarse_input(fitted: Fitted) -> list[str]:

@@ -298,10 +298,10 @@ class AxisModel:
             restitution=0.0,
         )
 
-    def _table(self, theta: FloatArray) -> FloatArray:
+    def _table(self, theta: FloatArray) -> sliding.Table:
         table = np.zeros((sliding.POWERS, sliding.POWERS))
         table[1, 0] = self.gain(theta) / self._mass(theta)
-        return table
+        return sliding.table_of(table)
 
     def _warming(self, theta: FloatArray, record: Record) -> FloatArray:
         """Viscous friction over what it is at the reference temperature, (n,)."""

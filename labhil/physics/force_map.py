@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import RBFInterpolator, RectBivariateSpline
 
 from labhil.errors import RigFileError
-from labhil.physics.mapped import Axis, Chart, driven
+from labhil.physics.mapped import Axis, Chart, charted_force
 from labhil.rig import KnownFile
 from labhil.signals import FloatArray
 
@@ -103,7 +103,7 @@ def read_force_map(table: KnownFile) -> ForceMap:
     grid = _grid(i, x, force)
     found = grid if grid is not None else _brought_to_a_grid(table.source, i, x, force)
     chart = chart_of(*found)
-    off = np.array([driven(*place, chart) for place in zip(i, x, strict=True)]) - force
+    off = np.array([charted_force(*place, chart) for place in zip(i, x, strict=True)]) - force
     return ForceMap(
         found[0], found[1], chart, len(force), grid is not None,
         float(np.sqrt(np.mean(off**2))), float(np.abs(off).max()),

@@ -1,7 +1,8 @@
 """The simulation kernel of one sliding part: a driven mass with friction, a spring and two stops.
 
 m·ẍ = F(u, x) + F₀ − k·x − k₃·x³ − friction, everything divided by the mass. The drive F is a table of
-powers, Σ C[a, b]·uᵃ·xᵇ: a straight gain for an axis, the magnet's force map for a solenoid.
+powers, Σ C[a, b]·uᵃ·xᵇ (a straight gain for an axis, the default magnet of a solenoid), or a chart: the
+spline through a table of measured forces (``physics.mapped``). Every kernel here takes either.
 """
 
 from __future__ import annotations
@@ -10,9 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from labhil.compiled import inlined
+from labhil.compiled import by_type, inlined
 from labhil.physics.extra_force import Beyond, Pushed, PushedCourse, with_extra
 from labhil.physics.friction import RESOLVED, Law, damping, friction, hold, law_of, pace, thinned
+from labhil.physics.mapped import Chart, charted_force, charted_slope
 from labhil.physics.moving_part import TINY, Follows, Laws, Motion, Stops
 from labhil.physics.stick_slip import integrator
 from labhil.signals import FloatArray, IntArray
@@ -41,12 +43,14 @@ Row = tuple[float, float, float, float]
 Table = tuple[Row, Row, Row, Row]
 """C[a][b] as kernels hold it."""
 
+Drive = Table | Chart
+
 
 class Slider(NamedTuple):
     """A part as it is between two samples."""
 
     part: Part
-    table: Table
+    drive: Drive
     law: Law
 
 
@@ -57,21 +61,16 @@ class Course(NamedTuple):
     first: Slider
 
 
+def table_of(c: FloatArray) -> Table:
+    """The coefficients of an array (4, 4)."""
+    rows = [(float(a), float(b), float(c), float(d)) for a, b, c, d in c]
+    return rows[0], rows[1], rows[2], rows[3]
+
+
 @inlined
 def at(p: Slider, c: Course, k: int) -> Slider:
     """The part between samples k and k + 1."""
-    return Slider(p.part, p.table, thinned(c.first.law, c.change[k]))
-
-
-@inlined
-def table_of(c: FloatArray) -> Table:
-    """The coefficients of an array (4, 4)."""
-    return (
-        (c[0, 0], c[0, 1], c[0, 2], c[0, 3]),
-        (c[1, 0], c[1, 1], c[1, 2], c[1, 3]),
-        (c[2, 0], c[2, 1], c[2, 2], c[2, 3]),
-        (c[3, 0], c[3, 1], c[3, 2], c[3, 3]),
-    )
+    return Slider(p.part, p.drive, thinned(c.first.law, c.change[k]))
 
 
 @inlined
@@ -87,18 +86,37 @@ def slope(x: float, c: Row) -> float:
 
 
 @inlined
-def driven(u: float, x: float, c: Table) -> float:
+def powers_force(u: float, x: float, c: Table) -> float:
     """Σ C[a, b]·uᵃ·xᵇ."""
     return power(x, c[0]) + u * (power(x, c[1]) + u * (power(x, c[2]) + u * power(x, c[3])))
 
 
 @inlined
+def powers_slope(u: float, x: float, c: Table) -> float:
+    """d/dx of Σ C[a, b]·uᵃ·xᵇ."""
+    return slope(x, c[0]) + u * (slope(x, c[1]) + u * (slope(x, c[2]) + u * slope(x, c[3])))
+
+
+def driven(u: float, x: float, drive: Drive) -> float:
+    """The drive's force over the mass, m/s²."""
+    return charted_force(u, x, drive) if isinstance(drive, Chart) else powers_force(u, x, drive)
+
+
+def rise(u: float, x: float, drive: Drive) -> float:
+    """The slope of that along the way, 1/s²."""
+    return charted_slope(u, x, drive) if isinstance(drive, Chart) else powers_slope(u, x, drive)
+
+
+by_type(driven, {Chart: charted_force}, powers_force)
+by_type(rise, {Chart: charted_slope}, powers_slope)
+
+
+@inlined
 def stiffness(u: float, x: float, p: Slider) -> float:
     """How fast the acceleration falls along the way, 1/s²."""
-    c, part = p.table, p.part
-    rise = slope(x, c[0]) + u * (slope(x, c[1]) + u * (slope(x, c[2]) + u * slope(x, c[3])))
+    part = p.part
     cogging = part.cogging_order * (abs(part.cogging_sine) + abs(part.cogging_cosine))
-    return abs(part.spring + 3.0 * part.hardening * x * x - rise) + abs(cogging)
+    return abs(part.spring + 3.0 * part.hardening * x * x - rise(u, x, p.drive)) + abs(cogging)
 
 
 @inlined
@@ -114,14 +132,14 @@ def pushed(drive: float, x: float, part: Part) -> float:
 @inlined
 def pull(s: Motion, side: float, u: float, p: Slider) -> float:
     """Acceleration of a moving part, m/s²."""
-    drive = driven(u, s.x, p.table)
+    drive = driven(u, s.x, p.drive)
     return pushed(drive, s.x, p.part) - friction(s.x, s.v, side, abs(drive), p.law)
 
 
 @inlined
 def grip(s: Motion, u: float, p: Slider) -> tuple[float, float]:
     """Acceleration that a part at rest would have, and the largest that it withstands."""
-    drive = driven(u, s.x, p.table)
+    drive = driven(u, s.x, p.drive)
     return pushed(drive, s.x, p.part), hold(s.x, abs(drive), p.law)
 
 
@@ -145,7 +163,7 @@ def follow(s: Motion, p: Slider) -> Follows:
 
 @inlined
 def longest(
-    s: Motion, side: float, u: float, rise: float, since: float, how: Follows, finest: float, p: Slider
+    s: Motion, side: float, u: float, climbs: float, since: float, how: Follows, finest: float, p: Slider
 ) -> float:
     """The longest step, s: short against the swing on the spring, the Stribeck peak and the cogging."""
     if side == 0.0:
@@ -172,18 +190,12 @@ run_pushed = integrator(with_extra(LAWS))
 
 
 @inlined
-def drive(u: float, x: float, c: FloatArray) -> float:
-    """The drive Σ C[a, b]·uᵃ·xᵇ of a table ``c`` (4, 4)."""
-    return driven(u, x, table_of(c))
-
-
-@inlined
 def accelerations(
-    u: FloatArray, x: FloatArray, v: FloatArray, c: FloatArray, p: Part, f: FloatArray
+    u: FloatArray, x: FloatArray, v: FloatArray, drive: Drive, p: Part, f: FloatArray
 ) -> FloatArray:
     """Accelerations of moving parts at many places at once, m/s²; zero where the part rests."""
     out = np.zeros(u.size)
-    slider = Slider(p, table_of(c), law_of(f))
+    slider = Slider(p, drive, law_of(f))
     for k in range(u.size):
         if v[k] != 0.0:
             out[k] = pull(Motion(x[k], v[k], 0.0), np.sign(v[k]), u[k], slider)
@@ -198,7 +210,7 @@ def simulate(
     first: IntArray,
     last: IntArray,
     states: FloatArray,
-    c: FloatArray,
+    drive: Drive,
     p: Part,
     f: FloatArray,
     viscous_change: FloatArray,
@@ -213,7 +225,7 @@ def simulate(
     begun = np.zeros((first.size, 3))
     for w in range(first.size):
         begun[w, 0], begun[w, 1] = states[w, 0], states[w, 1]
-    slider = Slider(p, table_of(c), law_of(f))
+    slider = Slider(p, drive, law_of(f))
     stops = Stops(p.low, p.high, p.restitution)
     course = Course(viscous_change, slider)
     run(t, node_t, values, first, last, begun, stops, slider, course, out)
@@ -227,7 +239,7 @@ def simulate_pushed(
     first: IntArray,
     last: IntArray,
     states: FloatArray,
-    c: FloatArray,
+    drive: Drive,
     p: Part,
     f: FloatArray,
     viscous_change: FloatArray,
@@ -239,7 +251,7 @@ def simulate_pushed(
     begun = np.zeros((first.size, 3))
     for w in range(first.size):
         begun[w, 0], begun[w, 1] = states[w, 0], states[w, 1]
-    slider = Slider(p, table_of(c), law_of(f))
+    slider = Slider(p, drive, law_of(f))
     stops = Stops(p.low, p.high, p.restitution)
     course = PushedCourse(Course(viscous_change, slider), along)
     run_pushed(t, node_t, values, first, last, begun, stops, Pushed(slider, beyond), course, out)

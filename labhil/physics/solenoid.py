@@ -14,11 +14,10 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from types import ModuleType
 
 import numpy as np
 
-from labhil.physics import input_path, mapped, sliding
+from labhil.physics import input_path, sliding
 from labhil.physics.driven import DrivenPath
 from labhil.physics.extra_force import ExtraForce, MovedPart
 from labhil.physics.force_map import read_force_map
@@ -161,8 +160,8 @@ class SolenoidModel:
         self.map = default_map()
         self.table = None if table is None else read_force_map(table)
         self.notes = self._notes(record)
-        laws, magnet = self._magnet(1.0)
-        self.force = laws.drive(self._strongest(record), 0.5 * (self.low + self.high), magnet)
+        middle = 0.5 * (self.low + self.high)
+        self.force = sliding.driven(self._strongest(record), middle, self._magnet(1.0))
         self.speed = self._speed(record)
         self.terms: Mapping[str, Term] = catalogue(0.05 * abs(self.force), self.speed)
         own = {"moving_mass": ("kg", TYPICAL_MASS), "spring_stiffness": ("N/m", self._stiffness())}
@@ -184,11 +183,9 @@ class SolenoidModel:
         other._extra = force
         return other
 
-    def _magnet(self, mass: float) -> tuple[ModuleType, FloatArray | mapped.Chart]:
-        """The kernels for the force, and the force over the moving mass as they take it."""
-        if self.table is None:
-            return sliding, self.map / mass
-        return mapped, self.table.over(mass)
+    def _magnet(self, mass: float) -> sliding.Drive:
+        """The magnet's force over the moving mass as kernels take it."""
+        return sliding.table_of(self.map / mass) if self.table is None else self.table.over(mass)
 
     def _notes(self, record: Record | None) -> list[str]:
         """What a person has to know of the force map, where one is given."""
@@ -266,8 +263,7 @@ class SolenoidModel:
         x, v, i = (coordinates[n] for n in ("plunger_position", "plunger_velocity", "field_current"))
         mass = self._values.of(theta, "moving_mass")
         part, law = self._part(theta), self._values.friction_law(theta, mass)
-        laws, magnet = self._magnet(mass)
-        return np.asarray(laws.accelerations(i, x, v, magnet, part, law) * mass)
+        return np.asarray(sliding.accelerations(i, x, v, self._magnet(mass), part, law) * mass)
 
     def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
         """What starts are fractions of, from this recording."""
@@ -313,13 +309,12 @@ class SolenoidModel:
         nodes, current = self._field(theta, record)
         mass = self._values.of(theta, "moving_mass")
         out = np.empty((len(windows.rows), 3))
-        laws, magnet = self._magnet(mass)
         given = (
-            record.t, nodes, current, windows.first, windows.last, states, magnet,
+            record.t, nodes, current, windows.first, windows.last, states, self._magnet(mass),
             self._part(theta), self._values.friction_law(theta, mass), np.ones(len(record)),
         )  # fmt: skip
         if self._extra is None:
-            laws.simulate(*given, out)
+            sliding.simulate(*given, out)
         else:
-            laws.simulate_pushed(*given, *self._extra.over(mass, record), out)
+            sliding.simulate_pushed(*given, *self._extra.over(mass, record), out)
         return out[:, :2]

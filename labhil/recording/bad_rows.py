@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ast import literal_eval
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -123,11 +124,20 @@ def _blame(sheet: Sheet, taken: Taken, row: int) -> str:
 def _no_number(sheet: Sheet, taken: Taken, one: Mapped, column: int, row: int) -> str:
     """That a number is missing where it should be, what stands there, and what would make a number of it."""
     found, name = sheet.columns.text(column, row), one.signal.name
-    hint = _hint(sheet, taken, name, found.strip("'\""))
+    hint = _hint(sheet, taken, name, _as_written(found))
     return (
         f"{sheet.place(row)}: column {sheet.column(column)} ({name}): expected a finite number, "
         f"found {found}{hint}"
     )
+
+
+def _as_written(found: str) -> str:
+    """The text that a message quotes, with its blanks and signs as they stand in the file."""
+    try:
+        text = literal_eval(found)
+    except (ValueError, SyntaxError):
+        return found
+    return text if isinstance(text, str) else found
 
 
 def _hint(sheet: Sheet, taken: Taken, name: str, text: str) -> str:

@@ -30,6 +30,10 @@ TIME_COLUMNS = ("t", "time", "timestamp")
 UNSTEADY = 0.02
 """A mean rate that differs from the median one by more than this share is told."""
 
+SMALLER_UNITS = (1e-3, 1e-6, 1e-9)
+SLOWEST = 2.0
+"""Units of time, of which a message proposes the first that brings the usual step below so many s."""
+
 LONGEST_TIME = 9e9
 """s; what fits into int64 nanoseconds."""
 
@@ -326,9 +330,12 @@ def _seconds(sheet: Sheet, row: IntArray, t: FloatArray) -> FloatArray:
         )
     seconds: FloatArray = t[row] - t[row[0]]
     if seconds[-1] > LONGEST_TIME:
+        step = float(np.median(np.diff(seconds)))
+        scale = next((each for each in SMALLER_UNITS if step * each < SLOWEST), None)
+        hint = "" if scale is None else f"; with scale = {scale:g} they span {seconds[-1] * scale:g} s"
         raise TableError(
             f"{sheet.path}: expected times in s, found a span of {seconds[-1]:g} s; [channels] t can have a "
-            "scale"
+            f"scale{hint}"
         )
     return seconds
 

@@ -16,7 +16,7 @@ def fault_lines(faults: Sequence[Fault]) -> list[str]:
     if not faults:
         return []
     lines = [f"! {fault.statement}" for fault in faults]
-    if any(fault.kind not in HARMLESS for fault in faults):
+    if any(fault.kind not in HARMLESS and not fault.mended for fault in faults):
         lines.append(
             "! The values below are fitted to these data as they are: do not rely on their intervals."
         )

@@ -18,7 +18,8 @@ from labhil.analysis.schema import (
     Score,
     Source,
 )
-from labhil.analysis.verdicts import VERDICTS
+from labhil.analysis.verdicts import NOT_ASKED, VERDICTS
+from labhil.diagnose.fault import Kind
 from labhil.physics.terms import keyed, listed
 from labhil.report.absent import joints_table, of_joints, silences
 from labhil.report.faults import fault_lines
@@ -205,7 +206,8 @@ def _fit_notes(fit: FitPart) -> list[str]:
         )
         if fit.identifiability.would_help:
             notes.append(f"It would help to know or to record: {', '.join(fit.identifiability.would_help)}.")
-    notes += fit.sampling
+    stated = tuple(f.statement.split()[0] for f in fit.faults if f.kind == Kind.UNDERSAMPLED)
+    notes += [note for note in fit.sampling if not note.startswith(stated)]
     if fit.verdict not in (None, "explained"):
         notes.append(_assumption(fit))
     elif fit.by_window and fit.window is not None and fit.window < fit.by_window[-1].window:
@@ -242,7 +244,7 @@ def diagnosis_text(diagnosis: DiagnosisPart) -> RenderableType:
         *(Text(line) for line in lines),
         *_found(diagnosis),
         *([] if diagnosis.improvement is None else _improvement(diagnosis.improvement)),
-        parameter_table(diagnosis.final.parameters, "Final model"),
+        parameter_table(diagnosis.judged_rows, "Final model"),
         *_not_found(diagnosis),
     )
 
@@ -250,7 +252,8 @@ def diagnosis_text(diagnosis: DiagnosisPart) -> RenderableType:
 def _found(diagnosis: DiagnosisPart) -> Iterator[RenderableType]:
     """Faults, place, missing terms with their rivals, changed values."""
     terms = ", ".join(listed(diagnosis.baseline.terms)) or "no terms"
-    yield Text(f"Baseline: {terms}; p {small(diagnosis.p_value)} that it suffices.")
+    suffices = f"p {small(diagnosis.p_value)} that it suffices" if diagnosis.asks_baseline else NOT_ASKED
+    yield Text(f"Baseline: {terms}; {suffices}.")
     for size in diagnosis.collapsed:
         yield Text(f"! {size.statement}", style="yellow")
     for fault in diagnosis.faults:

@@ -31,6 +31,8 @@ def _pieces(found: VerificationPart) -> Iterator[RenderableType]:
         style="bold green" if found.consistent else "bold red",
     )
     yield Text(found.statement, style="" if found.adequacy == "explained" else "yellow")
+    for line in (*(f"! {fault.statement}" for fault in found.faults), *found.doubts):
+        yield Text(line, style="yellow")
     for reason in found.reasons:
         yield Text("· " + reason)
     for note in found.notes:

@@ -18,7 +18,7 @@ from labhil.analysis.schema import (
     Rival,
     Score,
 )
-from labhil.analysis.verdicts import FIT_VERDICTS, VERDICTS
+from labhil.analysis.verdicts import FIT_VERDICTS, NOT_ASKED, VERDICTS
 from labhil.physics.terms import keyed, listed
 from labhil.report.absent import joints_table, of_joints, silences
 from labhil.report.html.quantity import chance, interval, multiple, p_value, percent, quantity
@@ -172,7 +172,8 @@ def diagnosis_text(found: DiagnosisPart, colours: Colours) -> RenderableType:
     head = Text()
     head.append(f"{sign} {VERDICTS[found.verdict]}\n", style=f"bold {colours[colour]}")
     head.append(f"baseline {', '.join(listed(found.baseline.terms))}; ", style=colours["muted"])
-    head.append(f"p {p_value(found.p_value)} that it suffices\n", style=colours["muted"])
+    suffices = f"p {p_value(found.p_value)} that it suffices" if found.asks_baseline else NOT_ASKED
+    head.append(f"{suffices}\n", style=colours["muted"])
     for size in found.collapsed:
         head.append(f"▲ {size.statement}\n", style=colours["warning"])
     for fault in found.faults:
@@ -190,7 +191,7 @@ def diagnosis_text(found: DiagnosisPart, colours: Colours) -> RenderableType:
         parts += [_title("What has changed", colours), _changed(found)]
     if found.improvement is not None:
         parts += [_title("How much better", colours), _improvement(found.improvement, colours)]
-    parts += [_title("Final model", colours), parameter_table(found.final.parameters, colours)]
+    parts += [_title("Final model", colours), parameter_table(found.judged_rows, colours)]
     return Group(*parts, *_rest(found, colours))
 
 

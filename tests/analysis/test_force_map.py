@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from labhil.errors import RigFileError
-from labhil.physics import mapped
 from labhil.physics.force_map import read_force_map
+from labhil.physics.mapped import charted_force, charted_slope
 from labhil.physics.model import Record, Windows, start_values
 from labhil.physics.solenoid import SolenoidModel
 from labhil.rig import KnownFile, parse_rig
@@ -42,9 +42,9 @@ def test_a_table_on_a_grid_is_used_as_given(tmp_path):
     assert found.worst < 1e-9
     between = [(i, x) for i in (0.4, 1.3, 2.6) for x in (0.3e-3, 2.2e-3, 4.6e-3)]
     for i, x in between:
-        assert mapped.driven(i, x, found.chart) == pytest.approx(magnet(i, x), abs=0.15)
-        step = (mapped.driven(i, x + 1e-7, found.chart) - mapped.driven(i, x - 1e-7, found.chart)) / 2e-7
-        assert mapped.rise(i, x, found.chart) == pytest.approx(step, rel=1e-5, abs=1e-3)
+        assert charted_force(i, x, found.chart) == pytest.approx(magnet(i, x), abs=0.15)
+        step = (charted_force(i, x + 1e-7, found.chart) - charted_force(i, x - 1e-7, found.chart)) / 2e-7
+        assert charted_slope(i, x, found.chart) == pytest.approx(step, rel=1e-5, abs=1e-3)
 
 
 def test_a_table_with_uneven_steps_is_met_at_its_points(tmp_path):
@@ -54,8 +54,8 @@ def test_a_table_with_uneven_steps_is_met_at_its_points(tmp_path):
 
 def test_beyond_its_edges_a_table_goes_on_straight_and_a_recording_that_leaves_it_is_told(tmp_path):
     found = read_force_map(taken(grid(tmp_path / "map.csv")))
-    edge, before = mapped.driven(3.0, 2e-3, found.chart), mapped.driven(3.0 - 1e-5, 2e-3, found.chart)
-    assert mapped.driven(3.3, 2e-3, found.chart) == pytest.approx(
+    edge, before = charted_force(3.0, 2e-3, found.chart), charted_force(3.0 - 1e-5, 2e-3, found.chart)
+    assert charted_force(3.3, 2e-3, found.chart) == pytest.approx(
         edge + 0.3 * (edge - before) / 1e-5, rel=1e-3
     )
     inside = found.notes(np.array([0.0, 3.01]), np.array([0.0, 5e-3]))
@@ -69,7 +69,7 @@ def test_scattered_points_are_told_what_a_grid_costs_them(tmp_path):
     i, x = random.uniform(0.2, 3.0, 200), random.uniform(0.0, 5e-3, 200)
     found = read_force_map(taken(written(tmp_path / "map.csv", i, x, magnet(i, x))))
     assert 0.0 < found.rms < 0.1 and "on no grid" in found.notes(i, x)[0]
-    assert mapped.driven(0.0, 2e-3, found.chart) == pytest.approx(0.0, abs=0.1)
+    assert charted_force(0.0, 2e-3, found.chart) == pytest.approx(0.0, abs=0.1)
 
 
 @pytest.mark.filterwarnings("ignore:loadtxt")

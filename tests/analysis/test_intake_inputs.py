@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from labhil.diagnose.hold import evident_hold
-from labhil.diagnose.intake import Kind, faults_of, usable, with_censored
+from labhil.diagnose.intake import Kind, faults_of, usable, with_censored, without_spikes
 from labhil.diagnose.lead import lead_of
-from labhil.diagnose.timing import better_hold, late_input, why_untimed
+from labhil.diagnose.timing import all_faults, better_hold, late_input, why_untimed
 from labhil.diagnose.wraps import wraps_of
+from labhil.ending import Deadline
 from labhil.identify.problem import Problem
 from labhil.identify.quantiser import held_samples, uneven_step
 from labhil.identify.windows import fit_windows, noise_of, with_least_noise
@@ -142,25 +144,56 @@ def test_a_smooth_input_that_is_late_is_found_by_the_rig_s_model(samples):
         assert f"shift = {-0.01 * samples:.6g}" in fault.statement
 
 
-def fed_back(seed=0, n=1000) -> Record:
-    """A motor whose voltage is a gain times what is left to its goal, noise of the measurement included."""
-    random, speed = np.random.default_rng(seed), 0.0
-    u, y = np.empty(n), np.empty(n)
+def proportional(error, before):
+    return 2.0 * error
+
+
+def relay(error, before):
+    return before if abs(error) < 0.5 else 6.0 * np.sign(error)
+
+
+def fed_back(controller, delay, seed, n=1000) -> Record:
+    """A motor whose voltage a controller makes of the measured speed, noise included."""
+    random, speed, current, voltage = np.random.default_rng(seed), 0.0, 0.0, 6.0
+    u, y = np.empty(n), np.empty((n, 2))
     for k in range(n):
-        y[k] = speed + 0.05 * random.standard_normal()
-        u[k] = 2.0 * (5.0 * np.sin(0.02 * k) - y[k])
-        speed += 0.01 * (3.0 * u[k] - 2.0 * speed)
-    return Record(
-        0.01 * np.arange(n), u[:, None], y[:, None], ("voltage",), ("speed",), ("rad/s",), (Hold.ZERO,)
-    )
+        y[k] = np.array([speed, current]) + 0.05 * random.standard_normal(2)
+        goal = 5.0 * np.sin(0.02 * k) + 2.0 * np.sin(0.11 * k)
+        u[k] = voltage = controller(goal - y[max(k - delay, 0), 0], voltage)
+        for _ in range(20):
+            current += 0.0005 * (voltage - 1.5 * current - 0.2 * speed) / 0.1
+            speed += 0.0005 * (0.2 * current - 0.05 * speed) / 0.1
+    names = (("voltage",), ("speed", "current"), ("rad/s", "A"), (Hold.ZERO,))
+    return Record(0.01 * np.arange(n), u[:, None], y, *names)
+
+
+@pytest.mark.parametrize("samples", [0, 1, 2])
+@pytest.mark.parametrize("controller", [proportional, relay])
+def test_in_closed_loop_only_an_input_that_is_late_is_called_so(samples, controller):
+    """There a fit of the outputs alone takes an earlier input for better: it is made of their noise."""
+    for delay in (0, 1):
+        record = late(fed_back(controller, delay, seed=delay), samples)
+        model = model_for(default_rig("dc_motor"), record)
+        fault = late_input(model, record)
+        assert (fault is None) == (samples == 0)
+        assert fault is None or f"shift = {-0.01 * samples:.6g}" in fault.statement
+        assert why_untimed(model, record) is None
+
+
+def test_an_end_that_was_asked_for_waits_for_what_has_a_result():
+    record = late(motor(smooth()), 2)
+    model = model_for(default_rig("dc_motor"), record)
+    with Deadline(1e-9):
+        time.sleep(0.01)
+        assert all_faults(model, record) == faults_of(record)
+    assert [fault.kind for fault in all_faults(model, record)] == [Kind.LEAD]
 
 
 def test_where_the_model_is_not_asked_about_late_stamps_that_is_said():
-    model = model_for(default_rig("dc_motor"), fed_back())
-    told = why_untimed(model, fed_back())
-    assert told is not None and told.startswith("Whether voltage is stamped") and "controller answers" in told
-    assert late_input(model, fed_back()) is None
-    assert why_untimed(model, motor(smooth())) is None
+    motors = default_rig("dc_motor")
+    for u in (smooth(), stepped()):
+        for samples in (0, 1):
+            assert why_untimed(model_for(motors, motor(u)), late(motor(u), samples)) is None
     t = 1e-3 * np.arange(500)
     pulled = (1.0 + np.sin(9.0 * t))[:, None]
     names = (("coil_current",), ("plunger_position",), ("m",))
@@ -191,6 +224,45 @@ def test_an_encoder_that_wraps_is_named_with_its_period(turns, period):
     unwrapped = np.unwrap(np.mod(position, period), period=found.period)
     assert np.ptp(unwrapped) == pytest.approx(np.ptp(position), rel=1e-3)
     assert wraps_of(position) is None
+
+
+def test_single_spikes_are_replaced_wherever_they_fall():
+    """Three close together, one right after a jump of the voltage."""
+    record = motor(stepped())
+    jump = int(np.flatnonzero(np.diff(record.inputs[:, 0]))[20]) + 1
+    places = np.array([130, 142, 155, 300, 445, 700, jump + 1, 1100, 1320])
+    outputs = record.outputs.copy()
+    outputs[places, 0] += 40.0 * (-1.0) ** np.arange(len(places))
+    hit = replace(record, outputs=outputs)
+    (fault,) = faults_of(hit)
+    assert fault.mended and [begin for begin, _ in fault.times] == record.t[np.sort(places)].tolist()
+    mended = without_spikes(hit)
+    assert np.abs(mended.outputs - record.outputs).max() < 12.0 * noise_of(record)[0]
+    assert without_spikes(record) is record
+    for samples in (0, 1, 5, 30):
+        few = record.part(0, samples)
+        assert without_spikes(few) is few
+
+
+def test_many_spikes_are_left_where_they_are():
+    record = motor(stepped())
+    outputs = record.outputs.copy()
+    outputs[7::40, 0] += 40.0
+    hit = replace(record, outputs=outputs)
+    assert without_spikes(hit) is hit
+    (fault,) = faults_of(hit)
+    assert not fault.mended and "leave these samples out" in fault.statement
+    assert not usable(hit, (fault,)).fit
+
+
+def test_a_channel_that_answers_every_jump_by_a_pulse_has_no_spikes():
+    record = motor(stepped())
+    outputs = record.outputs.copy()
+    jumps = np.diff(record.inputs[:, 0])
+    outputs[1:, 1] += 20.0 * jumps * (np.abs(jumps) > 0.5)
+    outputs[[95, 400, 1007], 1] += 100.0
+    found = [fault for fault in faults_of(replace(record, outputs=outputs)) if fault.kind is Kind.OUTLIER]
+    assert [round(begin, 3) for fault in found for begin, _ in fault.times] == [0.95, 4.0, 10.07]
 
 
 def test_a_sensor_that_slips_does_not_wrap():

@@ -176,9 +176,10 @@ def test_a_right_arm_is_left_alone():
     assert doubts_of(acquired(["coulomb_friction"], seconds=6.0), rig_of("ur5"), misfit=True) == ()
 
 
-def test_lone_spikes_are_no_reason_to_doubt_a_sign():
-    record = motor(2)
+@pytest.mark.parametrize(("seed", "width"), [(2, 1), (1, 2), (3, 2), (1, 3), (3, 3)])
+def test_bursts_are_no_reason_to_doubt_a_sign_or_columns(seed, width):
+    record = motor(seed)
     outputs = record.outputs.copy()
-    places = np.random.default_rng(0).choice(len(record), len(record) // 100, replace=False)
-    outputs[places, 0] += 40.0
+    places = np.random.default_rng(seed).choice(len(record) - 3, 10, replace=False)
+    outputs[(places[:, None] + np.arange(width)).ravel(), 0] += 40.0
     assert doubts_of(replace(record, outputs=outputs), rig_of("dc_motor"), misfit=True) == ()

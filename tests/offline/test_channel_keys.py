@@ -91,6 +91,7 @@ def test_import_and_fit_name_spikes_and_levels(labhil, tmp_path):
     )  # fmt: skip
     assert done.status == 0, done.err
     assert done.out.index("single spikes") < done.out.index("Parameters")
-    assert "do not rely" in done.out
-    faults = json.loads((tmp_path / "f.json").read_text(encoding="utf-8"))["faults"]
-    assert [fault["kind"] for fault in faults] == ["outlier"]
+    found = json.loads((tmp_path / "f.json").read_text(encoding="utf-8"))
+    assert [(fault["kind"], fault["mended"]) for fault in found["faults"]] == [("outlier", True)]
+    # they are told, and take nothing from the numbers
+    assert "do not rely" not in done.out and found["verdict"] == "explained"

@@ -127,6 +127,9 @@ def test_faults_are_told_of_the_recording_that_has_them(labhil, axis, tables, tm
     assert {(fault["kind"], fault["recording"]) for fault in found["faults"]} == {("stuck", 2)}
     assert "Recording 2: position is stuck" in done.out.replace("\n", " ")
     assert [own["recording"] for own in found["improvement"]["per_recording"]] == [1, 2]
+    # nothing was searched, so nothing is called sufficient or significant either
+    assert "it suffices" in done.out and "p = 1" not in done.out and "*" not in done.out
+    assert "p that the baseline suffices" not in (tmp_path / "found.html").read_text(encoding="utf-8")
 
 
 REFUSED = {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -172,3 +173,21 @@ def test_what_is_not_there_is_refused(labhil, record, accepted):
 def test_too_short_a_recording_is_refused(labhil, record, accepted):
     said = labhil("verify", record("i.mcap", carriage(9).part(0, 30)), "--model", accepted()).refused()
     assert "too short" in said
+
+
+def test_what_is_wrong_with_the_recording_is_named_before_the_model_is_blamed(
+    labhil, record, accepted, tmp_path
+):
+    """An input whose stamps are late contradicts any model; a few spikes contradict none."""
+    found = carriage(3)
+    late = replace(found, inputs=np.concatenate([found.inputs[:1].repeat(2, axis=0), found.inputs[:-2]]))
+    done = labhil("verify", record("late.mcap", late), "--model", accepted(), "--json", "out.json")
+    assert done.status == 1
+    assert [fault["kind"] for fault in answer(tmp_path)["faults"]] == ["lead"]
+    assert "answer drive_force 0.01 s (2 samples) before it changes" in done.out.replace("\n", " ")
+    outputs = found.outputs.copy()
+    outputs[[145, 400, 777], 0] += 0.5
+    spiked = record("spiked.mcap", replace(found, outputs=outputs))
+    done = labhil("verify", spiked, "--model", accepted(), "--json", "out.json")
+    assert done.status == 0, done.out
+    assert [fault["mended"] for fault in answer(tmp_path)["faults"]] == [True]

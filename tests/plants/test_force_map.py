@@ -6,7 +6,7 @@ import pytest
 from labhil.driver import TwinOptions
 from labhil.errors import UnknownNameError, UsageError
 from labhil.physics.force_map import read_force_map
-from labhil.physics.mapped import driven
+from labhil.physics.mapped import charted_force
 from labhil.plants.force_map import force_map_of, mapped_force
 from labhil.plants.solenoid import SolenoidPlant
 from labhil.rig import KnownFile
@@ -45,7 +45,9 @@ def test_plant_and_model_are_pulled_alike_by_one_table(tmp_path):
     found, model = force_map_of(path), read_force_map(KnownFile("map.csv", path.read_bytes()))
     random = np.random.default_rng(0)
     for i, x in random.uniform((-0.5, -0.001), (3.5, 0.006), (500, 2)):
-        assert mapped_force(i, x, found)[0] == pytest.approx(driven(i, x, model.chart), rel=1e-9, abs=1e-9)
+        assert mapped_force(i, x, found)[0] == pytest.approx(
+            charted_force(i, x, model.chart), rel=1e-9, abs=1e-9
+        )
 
 
 def test_points_on_no_grid_are_brought_to_one(tmp_path):

@@ -180,6 +180,28 @@ def test_objects_are_named_with_what_to_do_in_matlab(tmp_path):
         import_table(path, rig())
 
 
+def struct_of(name, fields):
+    """A struct of one element as MATLAB saves it; ``fields`` are elements without a name."""
+    names = b"".join(key.encode().ljust(32, b"\0") for key in fields)
+    return element(14, b"".join((
+        element(6, struct.pack("<II", 2, 0)), element(5, struct.pack("<ii", 1, 1)), element(1, name.encode()),
+        element(5, struct.pack("<i", 32)), element(1, names), *fields.values(),
+    )))  # fmt: skip
+
+
+def test_objects_within_structs_are_named_by_their_path(tmp_path):
+    path = as_v5(tmp_path / "a.mat", {"t": T, "ball_position": X, "servo_angle": U})
+    kinds = {"run1": "timetable", "logs": "Simulink.SimulationData.Dataset"}
+    path.write_bytes(
+        path.read_bytes() + struct_of("out", {key: opaque("", kind) for key, kind in kinds.items()})
+    )
+    said = "\n".join(describe_import(import_table(path, rig())))
+    assert "not used: out.run1 (an object of the class timetable; in MATLAB: S = table2struct(" in said
+    assert "timetable2table(out.run1)" in said
+    assert "not used: out.logs (an object of the class Simulink.SimulationData.Dataset" in said
+    assert "V = out.logs{1}.Values" in said
+
+
 def test_objects_of_version_7_3_are_no_numbers(tmp_path):
     path = as_v73(tmp_path / "a.mat", {"t": T, "ball_position": X, "servo_angle": U})
     with h5py.File(path, "r+") as file:

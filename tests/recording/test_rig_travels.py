@@ -7,7 +7,7 @@ import pytest
 
 from labhil.analysis.material import common_rig, rig_of
 from labhil.errors import RecordingError, RigFileError
-from labhil.physics.mapped import driven
+from labhil.physics.mapped import charted_force
 from labhil.physics.rigs import model_for
 from labhil.recording import RecordingWriter, import_table, read_recording, write_import
 from labhil.recording.recover import recover
@@ -72,7 +72,7 @@ def test_links_and_force_maps_travel_in_an_import_and_through_recover(tmp_path, 
             model_for(rig)
     model = model_for(read_recording(saved).rig)
     assert model.table is not None
-    assert driven(1.0, 2e-3, model.table.chart) == pytest.approx(12.6)
+    assert charted_force(1.0, 2e-3, model.table.chart) == pytest.approx(12.6)
 
 
 def test_a_rig_file_that_is_given_overrides_the_one_that_travelled(tmp_path, tmp_path_factory):

@@ -84,6 +84,14 @@ def test_thousands_are_grouped_by_the_stated_mark(tmp_path, thousands, decimal, 
         imported(tmp_path, lines, f'[table]\ndecimal = "{decimal}"')
 
 
+@pytest.mark.parametrize("blank", ["\u00a0", "\u202f", "\u2009"])
+def test_a_blank_that_groups_digits_is_named_whichever_it_is(tmp_path, blank):
+    lines = table_of([grouped(x, blank, ".") for x in SPEED.tolist()])
+    with pytest.raises(TableError, match=r'with \[table\] thousands = " " it is'):
+        imported(tmp_path, lines)
+    assert imported(tmp_path, lines, '[table]\nthousands = " "').values[:, 1] == pytest.approx(SPEED)
+
+
 @pytest.mark.parametrize("digits", [0, 2])
 def test_under_a_decimal_comma_a_point_is_never_a_decimal_point(tmp_path, digits):
     speeds = [grouped(x, digits=digits) for x in SPEED.tolist()]

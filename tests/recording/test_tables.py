@@ -292,6 +292,11 @@ CASES = {
         "",
         "can have a scale",
     ),
+    "nanoseconds of a clock": (
+        "t,ball_position,servo_angle\n" + "".join(f"{17 * 10**17 + i * 10**7},1,1\n" for i in range(1500)),
+        "",
+        "with scale = 1e-09 they span 14.99 s",
+    ),
     "too many columns": (
         PLAIN,
         "[channels]\nball_position = {columns=[1,2]}\nservo_angle={column=2}",

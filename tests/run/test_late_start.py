@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from labhil.bus import open_bus
 from labhil.bus.authentication import Refusals
+from labhil.bus.incoming import EventMessage, parse
 from labhil.bus.keys import stream_key
 from labhil.codec import Codec
+from labhil.errors import LabhilError
 from labhil.experiment.device_run import DeviceRun
 from labhil.experiment.experiment import parse_experiment
 from labhil.experiment.plan import make_plan
+from labhil.host_clock import unix_ns
 from labhil.service.hosts import ConnectedDevice
 from labhil.signals import Batch
 
@@ -30,6 +35,33 @@ excitation = "hold"
 level = 3.0
 duration = 1.0
 """
+
+
+def event(kind: str) -> EventMessage:
+    words = {"t_ns": unix_ns(), "kind": kind, "state": "idle", "message": kind}
+    return parse(EventMessage, json.dumps(words).encode(), "an event")
+
+
+def test_a_device_that_is_back_before_the_run_has_looked_is_started_again(tmp_path: Path) -> None:
+    """Silent for a moment only, it would else never be commanded again, and the run never end."""
+    text = TEXT.replace('address = "twin"', 'address = "twin"\nreconnect = true')
+    (plan,) = make_plan(parse_experiment(text, tmp_path / "late.toml")).devices
+    device = ConnectedDevice(plan.spec.stream, plan.spec.safe, 1.0, "", "")
+    with open_bus() as bus, DeviceRun(bus, plan, device, 1.0, threading.Event(), Refusals()) as run:
+        run.start()
+        run._take_event(event("quiet"))
+        run._take_event(event("reconnected"))
+        assert run.rests and run.comes_back  # so the run pauses …
+        with pytest.raises(LabhilError):
+            run.make_safe("paused")  # no host is here to answer
+        assert run.rests == ""  # … and goes on
+        run.start()
+        run._take_event(event("quiet"))
+        with pytest.raises(LabhilError):
+            run.make_safe("paused")
+        assert run.rests
+        run._take_event(event("reconnected"))
+        assert run.rests == ""
 
 
 def test_a_step_is_not_over_before_it_was_asked_for(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 from labhil.analysis.schema.parts import (
@@ -10,6 +11,7 @@ from labhil.analysis.schema.parts import (
     Fault,
     Interval,
     Number,
+    Parameter,
     Parameters,
     Part,
     RecordingErrors,
@@ -383,3 +385,16 @@ class DiagnosisPart(Part):
     further_curves: tuple[EstimatedCurve, ...] = ()
     complete: bool = True
     seconds: Number = None
+
+    @property
+    def asks_baseline(self) -> bool:
+        """Whether ``p_value`` tells whether the baseline suffices; 1 stands for nothing else."""
+        return self.verdict not in ("data_fault", "not_decidable")
+
+    @property
+    def judged_rows(self) -> Sequence[Parameter]:
+        """The final model's parameters; none is called significant or not where more than noise remains."""
+        explained = self.verdict in ("no_mismatch", "parameter_change", "missing_physics")
+        if explained and self.remainder is None:
+            return self.final.parameters
+        return tuple(row.model_copy(update={"significant": None}) for row in self.final.parameters)

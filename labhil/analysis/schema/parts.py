@@ -194,10 +194,11 @@ class Score(Part):
 
 
 class Fault(Part):
-    """A fault of the data."""
+    """A fault of the data; what is ``mended`` takes nothing from what is calculated."""
 
     kind: str
     statement: str
+    mended: bool = False
 
 
 class EstimatedCurve(Part):

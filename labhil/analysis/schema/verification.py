@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from labhil.analysis.schema.parts import Number, Part, Score, Source
+from labhil.analysis.schema.parts import Fault, Number, Part, Score, Source
 from labhil.analysis.verdicts import fit_verdict
 
 
@@ -62,6 +62,8 @@ class VerificationPart(Part):
     p_value: Number
     reasons: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    faults: tuple[Fault, ...] = ()
+    doubts: tuple[str, ...] = ()
     adequacy: Literal["explained", "unexplained", "worse_than_mean"] = "explained"
     residual_over_noise: dict[str, Number] = Field(default_factory=dict)
     score: Score

@@ -55,7 +55,7 @@ def read_mat(path: Path, wanted: Sequence[str] = ()) -> VariableColumns:
     except Exception as error:  # a cut MAT file makes scipy raise almost anything
         raise TableError(f"{path}: expected a MAT file, found one that cannot be read: {error}") from error
     parts = {
-        name: _part(value)
+        name: _part(name, value)
         for name, value in variables.items()
         if not name.startswith("_") and type(value).__name__ != "MatlabOpaque"
     }
@@ -98,14 +98,17 @@ def _claimed(path: Path) -> int:
     return sum(8 * math.prod(shape) for _, shape, _ in variables)
 
 
-def _part(value: Any) -> Part:
-    """What scipy read, as a part of a file."""
+def _part(name: str, value: Any) -> Part:
+    """What scipy read as the variable ``name``, or as a part of it."""
     if hasattr(value, "_fieldnames"):
-        return Part(fields={name: _part(getattr(value, name)) for name in value._fieldnames})
+        inner = {key: getattr(value, key) for key in value._fieldnames}
+        return Part(fields={key: _part(f"{name}.{key}", each) for key, each in inner.items()})
     if not isinstance(value, np.ndarray):
         return Part(reason="a sparse matrix" if hasattr(value, "toarray") else type(value).__name__)
+    if type(value).__name__ == "MatlabOpaque" and value.size:
+        return Part(reason=advice(name, _decoded(value.ravel()[0]["s2"])))
     if value.dtype == object and value.size:
-        return _elements(list(value.ravel(order="F")))
+        return _elements(name, list(value.ravel(order="F")))
     if value.dtype.kind in NUMBERS:
         return Part(array=np.atleast_2d(np.asarray(value, dtype=np.float64)))
     text = "".join(value.ravel().tolist())[:MOST_TEXT] if value.dtype.kind in "US" else ""
@@ -113,12 +116,17 @@ def _part(value: Any) -> Part:
     return Part(reason=reasons.get(value.dtype.kind, f"numpy's {value.dtype}"), text=text)
 
 
-def _elements(values: Sequence[Any]) -> Part:
+def _elements(name: str, values: Sequence[Any]) -> Part:
     """A struct, a struct array or a cell; of many elements no more than tell that they are too many."""
-    parts = [_part(one) for one in values[: MOST_PARTS + 1]]
-    if not all(hasattr(one, "_fieldnames") for one in values):
+    cell = not all(hasattr(one, "_fieldnames") for one in values)
+    single = not cell and len(values) == 1
+    paths = (
+        name if single else f"{name}{{{k}}}" if cell else f"{name}({k})" for k in range(1, MOST_PARTS + 2)
+    )
+    parts = [_part(path, one) for path, one in zip(paths, values, strict=False)]
+    if cell:
         return Part(elements=parts, braces="{}")
-    return parts[0] if len(parts) == 1 else Part(elements=parts)
+    return parts[0] if single else Part(elements=parts)
 
 
 class _Hdf5:

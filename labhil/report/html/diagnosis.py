@@ -13,7 +13,7 @@ from labhil.analysis.schema import (
     MissingEffect,
     Rival,
 )
-from labhil.analysis.verdicts import VERDICTS
+from labhil.analysis.verdicts import NOT_ASKED, VERDICTS
 from labhil.physics.terms import keyed
 from labhil.report.absent import OfJoints, joints_in, of_joints, silences
 from labhil.report.html.curve import curve_picture
@@ -30,7 +30,7 @@ from labhil.report.html.model import (
 )
 from labhil.report.html.page import Page, Section, present, section
 from labhil.report.html.picture import Album
-from labhil.report.html.quantity import chance, interval, multiple, p_value, percent, quantity
+from labhil.report.html.quantity import NOTHING, chance, interval, multiple, p_value, percent, quantity
 from labhil.report.html.table import bullets, facts, numbers, table, text, tiles
 
 P_VALUES = {
@@ -88,6 +88,8 @@ def _figures(diagnosis: DiagnosisPart) -> Markup:
     better = diagnosis.improvement
     entries: list[tuple[str, Content, Content]] = [
         ("p that the baseline suffices", p_value(diagnosis.p_value), joined(_p_remark(diagnosis)))
+        if diagnosis.asks_baseline
+        else ("The baseline", NOTHING, NOT_ASKED)
     ]
     if better is not None:
         unit = better.unit
@@ -248,8 +250,8 @@ def _final(diagnosis: DiagnosisPart, album: Album) -> Section | None:
     return section(
         "Final model",
         tag("p", "Its terms: ", names(final.terms), "."),
-        parameters_table(final.parameters, "Parameters of the final model, fitted to the search data"),
-        intervals_picture(album, final.parameters),
+        parameters_table(diagnosis.judged_rows, "Parameters of the final model, fitted to the search data"),
+        intervals_picture(album, diagnosis.judged_rows),
     )
 
 

@@ -44,7 +44,8 @@ def _lead(found: VerificationPart) -> tuple[Content, ...]:
         entries.append(("RMSE ÷ noise floor", multiple(worst.rmse, worst.noise_floor), f"limit {limit}"))
     entries.append(("p of the values", p_value(found.values_p), "all parameters together"))
     statement = tag("p", found.statement, class_="lead")
-    return (statement, *map(warning, found.notes), tiles(entries))
+    doubtful = (*(fault.statement for fault in found.faults), *found.doubts, *found.notes)
+    return (statement, *map(warning, doubtful), tiles(entries))
 
 
 def _channels(found: VerificationPart) -> Section | None:
