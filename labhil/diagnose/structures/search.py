@@ -149,6 +149,8 @@ class StructureSearch:
         while len(state.likeliest) <= self.options.climbed and self._climb(state):
             self._settle(state)
         self._drop_irrelevant(state)
+        if not state.best:
+            self._refit_singles(state)
         return state
 
     def _settle(self, state: SearchState) -> None:
@@ -308,9 +310,23 @@ class StructureSearch:
         variants = own.responses.variants
         choice = tuple(variants[t][0] for t in fitted.terms if t in structure and t in variants)
         stands = own.evaluate([choice])[0]
+        # a size that runs to the end of what it can be says that the effect is none of its kind
+        possible = 0.0 if self._within_bounds(fitted, structure) else -np.inf
         state.refitted[structure] = Refitted(
-            fitted, stands.log_evidence, stands.undisturbed, choice, own, own.relevance(choice)
+            fitted,
+            stands.log_evidence + possible,
+            stands.undisturbed + possible,
+            choice,
+            own,
+            own.relevance(choice),
         )
+
+    def _within_bounds(self, fitted: Fitted, structure: Structure) -> bool:
+        """Whether no size of the added terms is at a bound other than zero."""
+        parameters, places = self.data.model.parameters, index_of(self.data.model.parameters)
+        sizes = [p for p in parameters if p.term in structure and not p.shape]
+        values = [float(fitted.theta[places[p.key]]) for p in sizes]
+        return not any(value and p.at_bound(value) for p, value in zip(sizes, values, strict=True))
 
 
 def search_structures(
