@@ -389,7 +389,7 @@ def rig_of(recording: Recording, rig_file: Path | RigFile | None) -> RigFile:
         damage = f" ({recording.damage})" if recording.damage else ""
         raise RecordingError(
             f"{recording.path}: carries no rig file{damage}; give one with --rig RIG.toml (that of a "
-            "simulator in a Python file always has to be given: code that came with a recording is not run)"
+            "simulator of your own always has to be given: files that came with a recording are not loaded)"
         )
     return recording.rig
 

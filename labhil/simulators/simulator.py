@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from labhil.errors import UsageError, suggestion
 from labhil.kinds import Known, RigKind, declare_kind
@@ -17,6 +17,9 @@ from labhil.physics.terms import Parameter
 from labhil.rig import RigFile, parse_rig
 from labhil.signals import Direction, Hold, Signal
 from labhil.simulators.probing import is_damped, tried
+
+if TYPE_CHECKING:
+    from labhil.simulators.stepped import Stepped
 
 RightHandSide = Callable[[float, Any, Any, Any], Sequence[float]]
 """``f(t, x, u, p)`` to the rates of the states; x, u and p have their values by name and by number."""
@@ -78,6 +81,8 @@ class Coordinate:
 class Simulator:
     """A simulator as its user describes it; made by :func:`simulator`. Wherever a rig may be named, it may.
 
+    One that only answers when it is called, a step or a MuJoCo file, is ``stepped``.
+
     Example:
         >>> import labhil as lh
         >>> lag = lh.simulator(
@@ -100,6 +105,7 @@ class Simulator:
     position: str
     coordinate: Coordinate
     horizon: float | None
+    stepped: Stepped | None = None
 
     @property
     def kind(self) -> RigKind:
@@ -215,11 +221,12 @@ def simulator(
         f, called, dict(states), dict(inputs), measured, quantities, position, given[position], horizon
     )
     tried(made)
-    _declare(made, () if is_damped(made) else UNDAMPED)
+    declare(made, () if is_damped(made) else UNDAMPED)
     return made
 
 
-def _declare(made: Simulator, baseline: tuple[str, ...]) -> None:
+def declare(made: Simulator, baseline: tuple[str, ...]) -> None:
+    """Make a simulator's kind and model known in this process, with the terms that it begins with."""
     from labhil.simulators.model import SimulatorModel
 
     def model(rig: RigFile, record: Any = None) -> Any:
