@@ -23,6 +23,7 @@ from labhil.errors import MissingExtraError, RigFileError, UsageError, suggestio
 from labhil.kinds import Known, RigKind, kind_named, kind_names
 from labhil.python_file import object_of
 from labhil.signals import Hold
+from labhil.toml_text import toml_value
 
 Threshold = Annotated[float, Field(allow_inf_nan=False)] | None
 
@@ -31,6 +32,7 @@ LARGEST_FILE = 32 << 20
 """Bytes of a file that a rig file names. It goes into every recording; half a million points fit into it."""
 
 
+MUJOCO_FILES = (".xml", ".mjcf", ".urdf")
 MUJOCO_READER = "labhil.simulators.mjcf"
 """What reads a MuJoCo file; imported where a rig file names one."""
 
@@ -307,7 +309,12 @@ class RigFile(_Section):
 
 
 def load_rig(path: Path) -> RigFile:
-    """Read a rig file and the files that it names; RigFileError says where, and what was expected."""
+    """Read a rig file and the files that it names; RigFileError says where, and what was expected.
+
+    A simulator's file (see :func:`simulator_rig`) stands for a rig file that names it.
+    """
+    if is_simulator(str(path)):
+        return simulator_rig(str(path))
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -389,6 +396,27 @@ def _kind_of(section: ModelSection, path: Path) -> RigKind:
             f"{section.python}"
         )
     return kind
+
+
+def simulator_rig(stated: str) -> RigFile:
+    """A rig file that says nothing but which simulator it is.
+
+    Args:
+        stated: ``bench.py:pendulum``, or the path of an MJCF or URDF file.
+
+    Raises:
+        RigFileError: What is wrong with the simulator.
+    """
+    path = Path(stated)
+    what = "mujoco" if path.suffix.lower() in MUJOCO_FILES else "python"
+    text = f"[model]\n{what} = {toml_value(path.name)}\n"
+    return parse_rig(_with_kind(text, path), path)
+
+
+def is_simulator(stated: str) -> bool:
+    """Whether a text names a simulator: a MuJoCo file, or a Python file with a name in it."""
+    file, colon, _ = stated.rpartition(":")
+    return Path(stated).suffix.lower() in MUJOCO_FILES or bool(colon and file.endswith(".py"))
 
 
 def default_rig(kind: str) -> RigFile:

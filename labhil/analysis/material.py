@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from labhil.analysis.results import Source
+from labhil.analysis.simulator_names import refuse_other_names
 from labhil.analysis.still import constant
 from labhil.diagnose.fault import Fault
 from labhil.diagnose.intake import with_censored
@@ -379,7 +380,9 @@ def _said(value: object) -> str:
 def rig_of(recording: Recording, rig_file: Path | RigFile | None) -> RigFile:
     """The given rig file, or the one that the recording carries; RecordingError when it carries none."""
     if rig_file is not None:
-        return rig_file if isinstance(rig_file, RigFile) else load_rig(rig_file)
+        rig = rig_file if isinstance(rig_file, RigFile) else load_rig(rig_file)
+        refuse_other_names(recording, rig)
+        return rig
     if recording.rig is None:
         if rig_name() in recording.ambiguous:
             raise RecordingError(

@@ -14,7 +14,7 @@ from labhil.extras import load_optional
 from labhil.physics import friction
 from labhil.physics.model import Record, Windows
 from labhil.signals import FloatArray
-from labhil.simulators.rollouts import Driven, roll_out
+from labhil.simulators.rollouts import Driven, Push, roll_out
 from labhil.simulators.stepped import Held, Nodes
 from labhil.simulators.tables import Ask
 
@@ -112,6 +112,7 @@ class Mechanism:
     def __init__(self, model: Any, driven: Driven, values: Sequence[Value], held: Held) -> None:
         self._model, self._driven, self.values, self._held = model, driven, tuple(values), held
         self._smooth = _smooth(model, driven)
+        self.push: Push | None = None
         self._data = load_optional("mujoco", PURPOSE).MjData(self._smooth)
 
     @property
@@ -162,7 +163,8 @@ class Mechanism:
         self, numbers: Sequence[float], record: Record, nodes: Nodes, windows: Windows, states: FloatArray
     ) -> FloatArray:
         """Position and velocity (N, 2) of all windows, stepped by MuJoCo with all that the file has."""
-        return roll_out(self.with_values(numbers), self._driven, record, nodes, windows, states)
+        model = self.with_values(numbers)
+        return roll_out(model, self._driven, record, nodes, windows, states, self.push)
 
     def _at(self, model: Any, numbers: Sequence[float], *, smooth: bool) -> Any:
         mujoco = load_optional("mujoco", PURPOSE)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ import numpy as np
 from labhil.errors import UsageError, suggestion
 from labhil.extras import load_optional
 from labhil.simulators.mechanism import PURPOSE, RUBS, Field, Mechanism, Value, read_value
+from labhil.simulators.mjcf_file import Described, Names, load_model, names_of
 from labhil.simulators.rollouts import Driven
 from labhil.simulators.simulator import Coordinate, Quantity, Simulator, declare
 from labhil.simulators.stepped import Held
@@ -26,26 +26,6 @@ JOINT_VALUES = (
     Field.CUBIC_DAMPING,
 )
 """In the order in which they are estimated before others that the outputs cannot tell from them."""
-
-
-@dataclass(frozen=True, slots=True)
-class Names:
-    """What a file has, by name: joints with their kinds, actuators, sensors of joints."""
-
-    joints: tuple[str, ...]
-    actuators: tuple[str, ...]
-    sensors: tuple[str, ...]
-
-    def listed(self) -> str:
-        """For messages."""
-        return "; ".join(
-            f"{what}: {', '.join(names) or 'none'}"
-            for what, names in (
-                ("joints", self.joints),
-                ("actuators", self.actuators),
-                ("sensors of position or velocity", self.sensors),
-            )
-        )
 
 
 def mujoco_simulator(
@@ -84,7 +64,16 @@ def mujoco_simulator(
         >>> sorted(arm.parameters)
         ['gear', 'rod_mass']
     """
-    file = Path(path)
+    return describe(Path(path), inputs, outputs, name).simulator
+
+
+def describe(
+    file: Path,
+    inputs: Mapping[str, str] | None = None,
+    outputs: Mapping[str, str] | None = None,
+    name: str = "",
+) -> Described:
+    """Read a file and make a simulator of it; as :func:`mujoco_simulator`."""
     model = load_model(file)
     has = names_of(model)
     joint = _only_joint(model, file, has)
@@ -110,38 +99,7 @@ def mujoco_simulator(
     )
     damped = any(value.field in RUBS for value in values)
     declare(made, () if damped else ("viscous_friction",))
-    return made
-
-
-def load_model(file: Path) -> Any:
-    """Load a file with MuJoCo; UsageError with what MuJoCo says of it."""
-    mujoco = load_optional("mujoco", PURPOSE)
-    if not file.is_file():
-        raise UsageError(f"expected the MuJoCo file {file}, found none")
-    try:
-        return mujoco.MjModel.from_xml_path(str(file))
-    except ValueError as error:
-        said = " ".join(str(error).split())
-        raise UsageError(f"{file}: expected a file that MuJoCo loads (MJCF, URDF), found: {said}") from error
-
-
-def names_of(model: Any) -> Names:
-    """What a model has, by name; what has none is called by its number."""
-    mujoco = load_optional("mujoco", PURPOSE)
-    kinds, sensors = mujoco.mjtObj, mujoco.mjtSensor
-    wanted = (int(sensors.mjSENS_JOINTPOS), int(sensors.mjSENS_JOINTVEL))
-
-    def all_of(kind: Any, numbers: Iterable[int], what: str) -> tuple[str, ...]:
-        return tuple(mujoco.mj_id2name(model, kind, k) or f"{what}_{k}" for k in numbers)
-
-    return Names(
-        all_of(kinds.mjOBJ_JOINT, range(model.njnt), "joint"),
-        all_of(kinds.mjOBJ_ACTUATOR, range(model.nu), "actuator"),
-        tuple(
-            mujoco.mj_id2name(model, kinds.mjOBJ_SENSOR, k) or f"sensor_{k}" if kind in wanted else ""
-            for k, kind in enumerate(model.sensor_type)
-        ),
-    )
+    return Described(file, model, made, mechanism, driven.actuator)
 
 
 def _not_compiled(t: float, x: Any, u: Any, p: Any) -> tuple[float, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,8 +22,18 @@ class Driven(NamedTuple):
     control: int
 
 
+Push = Callable[[float, float, float], float]
+"""(position, velocity, force of the actuator) to one more force at the joint."""
+
+
 def roll_out(
-    model: Any, driven: Driven, record: Record, nodes: Nodes, windows: Windows, states: FloatArray
+    model: Any,
+    driven: Driven,
+    record: Record,
+    nodes: Nodes,
+    windows: Windows,
+    states: FloatArray,
+    push: Push | None = None,
 ) -> FloatArray:
     """Step a model with one degree of freedom through all windows at once.
 
@@ -36,6 +47,7 @@ def roll_out(
         nodes: Times and values of the input.
         windows: Stretches of the recording.
         states: Position and velocity (w, 2) that each begins with.
+        push: One more force; with it the windows are stepped one by one.
 
     Returns:
         Position and velocity (N, 2) at the samples of all windows.
@@ -45,6 +57,9 @@ def roll_out(
     steps = int(np.ceil(np.max(record.t[windows.last - 1] - begins) / step)) + 1
     edges = begins[:, None] + step * np.arange(steps + 1)
     control = means(nodes, edges)[:, :, None]
+    if push is not None:
+        motion = _stepped(model, driven, nodes, begins, states, control[:, :, 0], push)
+        return _at_samples(record, windows, begins, motion, step)
     if driven.actuator >= 0 and model.nu > 1:
         control = control * np.eye(model.nu)[driven.control]
     kinds = mujoco.mjtState
@@ -56,12 +71,46 @@ def roll_out(
     found, _ = rollout.rollout(model, data, begun, control, control_spec=int(spec), nstep=steps)
     # of a full state the time is first, then position and velocity of the only degree of freedom
     motion = np.concatenate([begun[:, None, 1:3], found[:, :, 1:3]], axis=1)
+    return _at_samples(record, windows, begins, motion, step)
+
+
+def _at_samples(
+    record: Record, windows: Windows, begins: FloatArray, motion: FloatArray, step: float
+) -> FloatArray:
     return np.concatenate(
         [
             _between(record.t[first:last] - t, motion[w], step)
             for w, (first, last, t) in enumerate(zip(windows.first, windows.last, begins, strict=True))
         ]
     )
+
+
+def _stepped(
+    model: Any,
+    driven: Driven,
+    nodes: Nodes,
+    begins: FloatArray,
+    states: FloatArray,
+    control: FloatArray,
+    push: Push,
+) -> FloatArray:
+    """Position and velocity (w, steps + 1, 2), with a force that is asked for in every step."""
+    mujoco = load_optional("mujoco", "an MJCF file")
+    data = mujoco.MjData(model)
+    out = np.empty((len(begins), control.shape[1] + 1, 2))
+    spec = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    for w, now in enumerate(begins):
+        mujoco.mj_setState(model, data, _state(model, data, driven, nodes, now, states[w]), spec)
+        out[w, 0] = states[w]
+        for k, u in enumerate(control[w].tolist()):
+            own = 0.0 if driven.actuator >= 0 else u
+            if driven.actuator >= 0:
+                data.ctrl[driven.control] = u
+            drive = u if driven.actuator < 0 else float(data.qfrc_actuator[0])
+            data.qfrc_applied[0] = own + push(float(data.qpos[0]), float(data.qvel[0]), drive)
+            mujoco.mj_step(model, data)
+            out[w, k + 1] = data.qpos[0], data.qvel[0]
+    return out
 
 
 def means(nodes: Nodes, edges: FloatArray) -> FloatArray:
