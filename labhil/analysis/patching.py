@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,7 @@ OTHERS = 1.25
 FINER = (2, 4, 8)
 """Parts of the file's time step that are tried where its own is too long."""
 
-DRY = ("coulomb_friction.level", "static_friction.level", "stribeck_friction.level")
+DRY = ("coulomb_friction", "static_friction", "position_dependent_friction", "load_dependent_friction")
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +129,7 @@ def patch(
     for beside, candidate in _candidates(bench.described, into, values):
         progress(f"running the repaired file on the held-out data{beside and ', ' + beside}")
         left = sorted_out(candidate.left)
-        text = companion(left, out.name, bench.signal, bench.at_rest(candidate.left))
+        text = companion(left, out.name, bench.signal, bench.at_rest(candidate))
         rmse = _tried(bench, candidate, text, out, material, found.horizon)
         attempts.append(Attempt(beside, rmse, rmse / model.rmse))
         if attempts[-1].ratio <= KEPT and not left.unknown:
@@ -163,11 +163,12 @@ class Bench:
         """Name of the recorded input."""
         return next(iter(self.described.simulator.inputs))
 
-    def at_rest(self, left: Mapping[str, float]) -> float:
+    def at_rest(self, candidate: Patched) -> float:
         """Velocity over which dry friction of a companion sets in: what one step can settle."""
-        mechanism = self.described.mechanism
+        mechanism, left = self.described.mechanism, candidate.left
         inertia = mechanism.inertia([value.start for value in mechanism.values])
-        return max(2.0 * mechanism.timestep * sum(abs(left.get(n, 0.0)) for n in DRY) / inertia, 1e-6)
+        level = sum(abs(number) for name, number in left.items() if name.startswith(DRY))
+        return max(2.0 * mechanism.timestep / candidate.parts * level / inertia, 1e-6)
 
     def run(
         self, described: Described, material: Material, values: Mapping[str, float], horizon: float
@@ -209,6 +210,7 @@ def _candidates(
             stiffen_friction(described, candidate.text, parts)
         if parts > 1:
             shorten_step(described, candidate.text, parts)
+            candidate = replace(candidate, parts=parts)
         beside = ["firm dry friction"] * rubs + [f"steps of 1/{parts}"] * (parts > 1)
         yield " and ".join(beside), candidate
 

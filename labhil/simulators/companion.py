@@ -8,7 +8,11 @@ labhil.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from string import Formatter
+from textwrap import wrap
 from typing import NamedTuple
+
+WIDTH = 100
 
 
 class Law(NamedTuple):
@@ -32,12 +36,14 @@ FORCES: Mapping[str, Law] = {
     "friction_asymmetry": Law("F = -c_a |v|", ("F -= {coefficient} * abs(v)",)),
     "coulomb_friction": Law("F = -F_c sgn v", ("F -= {level} * side",)),
     "static_friction": Law(
-        "|F| <= F_c + F_st + F_hold at v = 0; here it is let go over the first few AT_REST",
-        ("F -= {level} * math.exp(-abs(v) / (3.0 * AT_REST)) * side",),
+        "|F| <= F_c + F_st + F_hold at v = 0; the file's dry friction holds with all of it, and this gives "
+        "F_hold back once it moves",
+        ("F += {level} * (1.0 - math.exp(-abs(v) / (3.0 * AT_REST))) * moving",),
     ),
     "stribeck_friction": Law(
-        "F = -F_st exp(-|v| / v_s) sgn v, on top of dry friction",
-        ("F -= {level} * math.exp(-abs(v) / {velocity}) * side",),
+        "F = -F_st exp(-|v| / v_s) sgn v; the file's dry friction holds with F_c + F_st, and this gives back "
+        "F_st (1 - exp(-|v| / v_s)) sgn v as it moves",
+        ("F += {level} * (1.0 - math.exp(-abs(v) / {velocity})) * moving",),
     ),
     "position_dependent_friction": Law("F = -s x sgn v", ("F -= {slope} * x * side",)),
     "load_dependent_friction": Law("F = -mu |F_drive| sgn v", ("F -= {coefficient} * abs(drive) * side",)),
@@ -113,35 +119,40 @@ def companion(left: Left, file: str, signal: str, at_rest: float) -> str:
     Returns:
         The text.
     """
+    uses = [
+        "data.qfrc_applied[0] = force(data.qpos[0], data.qvel[0])" if left.forces else "",
+        f"data.ctrl[...] = command({signal}, dt), with command = Command()" if left.inputs else "",
+        "measured = sensor(data.qpos[0], dt), with sensor = Sensor()" if left.sensors else "",
+    ]
+    blocks = [
+        _force(left.forces, at_rest) if left.forces else [],
+        _stage("Command", f"The input {signal} as it acts.", "u", left.inputs, INPUTS) if left.inputs else [],
+        _stage("Sensor", "The output as it is measured.", "y", left.sensors, SENSORS) if left.sensors else [],
+    ]
     parts = [
-        f'"""What {file} cannot hold of the physics that was found; made by `labhil patch`.',
+        f'"""What {file} cannot hold of the physics that was found; made by `labhil patch`. SI units.',
         "",
-        "In each step: data.ctrl[...] = command(u, dt); data.qfrc_applied[0] = force(x, v, drive);",
-        'mj_step; measured = sensor(x, dt). SI units; x and v are position and velocity of the joint."""',
+        "In each step of the simulation:",
+        "",
+        *(f"    {use}" for use in uses if use),
+        '"""',
         "",
         "import math",
-        "from collections import deque",
-        "",
+        *(["from collections import deque"] if left.inputs or left.sensors else []),
+    ]
+    for block in blocks:
+        parts += ["", "", *block] if block else []
+    return "\n".join(parts) + "\n"
+
+
+def _force(forces: Mapping[str, Mapping[str, float]], at_rest: float) -> list[str]:
+    lines = [
         f"AT_REST = {at_rest:.6g}  # velocity below which dry friction counts as holding",
         "",
         "",
-        *_force(left.forces),
-        "",
-        "",
-        *_stage("Command", f"The input {signal} as it acts.", "u", left.inputs, INPUTS),
-        "",
-        "",
-        *_stage("Sensor", "The output as it is measured.", "y", left.sensors, SENSORS),
-        "",
-    ]
-    return "\n".join(parts)
-
-
-def _force(forces: Mapping[str, Mapping[str, float]]) -> list[str]:
-    lines = [
         "def force(x, v, drive=0.0):",
         '    """The force or torque at the joint beside the file\'s own; drive is that of the actuator."""',
-        "    F, side = 0.0, math.tanh(v / AT_REST)",
+        "    F, side, moving = 0.0, math.tanh(v / AT_REST), math.copysign(1.0, v)",
     ]
     return [*lines, *_written(forces, FORCES, "    "), "    return F"]
 
@@ -171,12 +182,10 @@ def _written(effects: Mapping[str, Mapping[str, float]], laws: Mapping[str, Law]
         law = laws[term]
         names = [name for line in law.lines for name in _names(line)]
         filled = {name: parts.get(name, "0.0") for name in names}
-        lines.append(f"{indent}# {term}: {law.equation}")
+        lines += [f"{indent}# {text}" for text in wrap(f"{term}: {law.equation}", WIDTH)]
         lines += [indent + line.format(**filled) for line in law.lines]
     return lines
 
 
 def _names(line: str) -> list[str]:
-    from string import Formatter
-
     return [name for _, name, _, _ in Formatter().parse(line) if name]

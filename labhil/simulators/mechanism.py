@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from labhil.extras import load_optional
-from labhil.physics import friction
 from labhil.physics.model import Record, Windows
 from labhil.signals import FloatArray
 from labhil.simulators.rollouts import Driven, Push, roll_out
@@ -38,12 +37,12 @@ class Field(StrEnum):
 
 
 RUBS = {
-    Field.DAMPING: friction.VISCOUS,
-    Field.QUADRATIC_DAMPING: friction.QUADRATIC,
-    Field.CUBIC_DAMPING: friction.CUBIC,
-    Field.FRICTIONLOSS: friction.COULOMB,
+    Field.DAMPING: "viscous_friction.coefficient",
+    Field.FRICTIONLOSS: "coulomb_friction.level",
+    Field.QUADRATIC_DAMPING: "quadratic_viscous_friction.coefficient",
+    Field.CUBIC_DAMPING: "cubic_viscous_friction.coefficient",
 }
-"""Values that are friction, with their places in its law: MuJoCo's polynomial of damping is the same."""
+"""Values that are friction: each is an effect of the catalogue, of the very same law."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,10 +169,8 @@ class Mechanism:
         mujoco = load_optional("mujoco", PURPOSE)
         found = model if smooth else deepcopy(model)
         for value, number in zip(self.values, numbers, strict=False):
-            if not (smooth and value.field in RUBS):
-                write_value(found, value.field, value.of, number)
-        if not smooth:
-            mujoco.mj_setConst(found, mujoco.MjData(found))
+            write_value(found, value.field, value.of, number)
+        mujoco.mj_setConst(found, self._data if smooth else mujoco.MjData(found))
         return found
 
 

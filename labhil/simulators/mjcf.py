@@ -17,15 +17,7 @@ from labhil.simulators.rollouts import Driven
 from labhil.simulators.simulator import Coordinate, Quantity, Simulator, declare
 from labhil.simulators.stepped import Held
 
-JOINT_VALUES = (
-    Field.DAMPING,
-    Field.FRICTIONLOSS,
-    Field.STIFFNESS,
-    Field.SPRINGREF,
-    Field.QUADRATIC_DAMPING,
-    Field.CUBIC_DAMPING,
-)
-"""In the order in which they are estimated before others that the outputs cannot tell from them."""
+VISCOUS = "viscous_friction"
 
 
 def mujoco_simulator(
@@ -37,9 +29,10 @@ def mujoco_simulator(
 ) -> Simulator:
     """Take a MuJoCo file for a simulator; the whole catalogue of effects is then there for it.
 
-    The file has one hinge or slide joint. Its damping, dry friction, spring, armature, masses and the gains
-    of its actuator are parameters where they are not 0, and start at what the file says. Those that a
-    recording cannot tell from others stay at that.
+    The file has one hinge or slide joint. Its spring, armature, masses and the gains of its actuator are
+    parameters where they are not 0, and start at what the file says. Those that a recording cannot tell from
+    others stay at that. Its damping and dry friction are the effects viscous_friction and coulomb_friction,
+    with which a diagnosis begins.
 
     Args:
         path: The file: MJCF, or URDF as far as MuJoCo loads it.
@@ -96,9 +89,11 @@ def describe(
         Coordinate(velocity, force=force),
         None,
         mechanism,
+        {value.name: value.start for value in values}
+        | {name: read_value(model, field, joint) for field, name in RUBS.items()},
     )
-    damped = any(value.field in RUBS for value in values)
-    declare(made, () if damped else ("viscous_friction",))
+    terms = [name.partition(".")[0] for field, name in RUBS.items() if read_value(model, field, joint)]
+    declare(made, tuple(dict.fromkeys((VISCOUS, *terms))))
     return Described(file, model, made, mechanism, driven.actuator)
 
 
@@ -187,10 +182,6 @@ def _values(model: Any, joint: int, driven: Driven, hinge: bool) -> Iterable[Val
     """What of a file is a parameter: values that are not 0, and the rest of a spring."""
     length, force = ("rad", "N·m") if hinge else ("m", "N")
     units = {
-        Field.DAMPING: f"{force}·s/{length}",
-        Field.QUADRATIC_DAMPING: f"{force}·s²/{length}²",
-        Field.CUBIC_DAMPING: f"{force}·s³/{length}³",
-        Field.FRICTIONLOSS: force,
         Field.STIFFNESS: f"{force}/{length}",
         Field.SPRINGREF: length,
         Field.ARMATURE: "kg·m²" if hinge else "kg",
@@ -205,7 +196,8 @@ def _values(model: Any, joint: int, driven: Driven, hinge: bool) -> Iterable[Val
         if start != 0.0 or sprung:
             yield Value(name or field.value, field, of, units.get(field, "kg"), start)
 
-    for field in JOINT_VALUES:
+    # in the order in which one is estimated before others that the outputs cannot tell from it
+    for field in (Field.STIFFNESS, Field.SPRINGREF):
         yield from value(field, joint)
     first = int(model.jnt_bodyid[joint])
     for body in range(first, model.nbody):
@@ -221,11 +213,10 @@ def _values(model: Any, joint: int, driven: Driven, hinge: bool) -> Iterable[Val
 
 def _held(model: Any, joint: int, driven: Driven, file: Path) -> Held:
     """What is solved apart: friction, ends of the way, limits of the input and its delay."""
-    rubs = {place: field.value for field, place in RUBS.items() if read_value(model, field, joint) != 0.0}
     way = tuple(model.jnt_range[joint].tolist()) if model.jnt_limited[joint] else (-np.inf, np.inf)
     k = driven.actuator
     if k < 0:
-        return Held(rubs, way)
+        return Held(way)
     low, high = model.actuator_ctrlrange[k].tolist() if model.actuator_ctrllimited[k] else (-np.inf, np.inf)
     if model.actuator_forcelimited[k]:
         if model.actuator_biastype[k]:
@@ -236,7 +227,7 @@ def _held(model: Any, joint: int, driven: Driven, file: Path) -> Held:
         ends = sorted((model.actuator_forcerange[k] / gain).tolist())
         low, high = max(low, ends[0]), min(high, ends[1])
     delay = float(model.actuator_delay[k]) if hasattr(model, "actuator_delay") else 0.0
-    return Held(rubs, way, (low, high), delay)
+    return Held(way, (low, high), delay)
 
 
 def _pushes_directly(model: Any, driven: Driven) -> bool:

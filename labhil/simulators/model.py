@@ -77,7 +77,7 @@ class SimulatorModel:
     _extra: ExtraForce | None = None
 
     def __init__(self, simulator: Simulator, rig: RigFile, record: Record | None = None) -> None:
-        self.simulator = simulator
+        self.simulator, self.nominal = simulator, simulator.nominal
         self.kind = simulator.name
         self.position, self.velocity = simulator.states
         self.state_names = (self.position, _velocity_name(self.position, self.velocity))
@@ -288,10 +288,7 @@ class SimulatorModel:
             over("spring_hardening.coefficient"), over("cogging_torque.sine"), over("cogging_torque.cosine"),
             self._values.of(theta, "cogging_torque.order"), -np.inf, np.inf, 0.0,
         )  # fmt: skip
-        strengths = self._values.friction_law(theta, inertia)
-        for place, name in self._held.rubs.items():
-            strengths[place] += over(name)
-        law = tuple(strengths.tolist())
+        law = tuple(self._values.friction_law(theta, inertia).tolist())
         share = own.inertia / inertia
         load = abs(own.gain) * share
         return (own.values, Pushes(extra, law, share, load, own.stiff, own.quick)), inertia

@@ -7,19 +7,28 @@ from dataclasses import dataclass
 from math import ceil, degrees
 
 from labhil.errors import UsageError
-from labhil.simulators.mechanism import Field, Value, read_value
+from labhil.simulators.mechanism import RUBS, Field, Value, read_value
 from labhil.simulators.mjcf_file import Described
 from labhil.simulators.xml_text import Element, XmlText
 
 LONGER = 1.0 + 1e-9
 
 
+HOLDING = ("stribeck_friction.level", "static_friction.level")
+"""What holds at rest beyond dry friction: the file's dry friction holds with all of it, and what stands
+beside the file gives it back as the joint moves (see ``simulators.companion``)."""
+
+
 @dataclass(frozen=True, slots=True)
 class Patched:
-    """A file's text with its changes, and the values of effects that no attribute stands for."""
+    """A file's text with its changes, and the values of effects that no attribute stands for.
+
+    Its time step is the file's, cut into ``parts``.
+    """
 
     text: XmlText
     left: Mapping[str, float]
+    parts: int = 1
 
 
 def number(value: float) -> str:
@@ -42,12 +51,16 @@ def patched(described: Described, text: XmlText, values: Mapping[str, float]) ->
         UsageError: The file does not itself have what is to be changed (it includes another file).
     """
     own = {value.name: value for value in described.mechanism.values}
-    left = dict(values)
+    rubs = {name: 0.0 for field, name in RUBS.items() if read_value(described.model, field, 0) != 0.0}
+    left = rubs | dict(values)  # friction of the file that the result does without is taken out
+    held = sum(left.get(name, 0.0) for name in HOLDING)
+    if held:
+        left[RUBS[Field.FRICTIONLOSS]] = left.get(RUBS[Field.FRICTIONLOSS], 0.0) + held
     for name, value in own.items():
         if name in left:
             _set_own(described, text, value, left.pop(name))
     for name, put in EFFECTS.items():
-        if left.get(name) and put(described, text, left[name]):
+        if name in left and put(described, text, left[name]):
             del left[name]
     return Patched(text, {name: value for name, value in left.items() if value and _acts(name, left)})
 
@@ -80,7 +93,7 @@ def shorten_step(described: Described, text: XmlText, parts: int) -> None:
     else:
         text.add(text.elements[0], f'<option timestep="{number(step)}"/>', why)
     for actuator in text.inside("", "actuator"):
-        count = actuator.attributes.get("nsample")
+        count = text.current(actuator, "nsample")
         if count is not None:
             text.set(actuator, "nsample", str(int(count) * parts), why)
 
@@ -170,10 +183,13 @@ def _scale(text: XmlText, element: Element, attribute: str, ratio: float, why: s
 
 
 def _add_to_joint(field: Field, what: str) -> Callable[[Described, XmlText, float], bool]:
-    """An effect that adds to a value of the joint, which must not come out negative."""
+    """An effect that is a value of the joint, or adds to it; none may come out negative."""
 
     def put(described: Described, text: XmlText, value: float) -> bool:
-        new = read_value(described.model, field, 0) + value
+        old = read_value(described.model, field, 0)
+        new = value if field in RUBS else old + value
+        if new == old:
+            return True
         linear = field in (Field.DAMPING, Field.FRICTIONLOSS, Field.ARMATURE)
         if new < 0.0 and linear:
             return False
@@ -188,6 +204,8 @@ def _add_to_joint(field: Field, what: str) -> Callable[[Described, XmlText, floa
 def _add_spring(described: Described, text: XmlText, value: float) -> bool:
     """F = −k·x beside the file's own spring, which rests at springref: one spring that rests in between."""
     model = described.model
+    if value == 0.0:
+        return True
     own, rest = read_value(model, Field.STIFFNESS, 0), read_value(model, Field.SPRINGREF, 0)
     if own + value <= 0.0:
         return False
@@ -200,6 +218,8 @@ def _add_spring(described: Described, text: XmlText, value: float) -> bool:
 
 def _add_delay(described: Described, text: XmlText, value: float) -> bool:
     """A delayed control is read from a buffer of past ones, between two of them along a straight line."""
+    if value == 0.0:
+        return True
     if described.driven < 0 or not described.has_delays:
         return False
     actuator, delay = _actuator(described, text), described.mechanism.held.delay + value
@@ -212,6 +232,8 @@ def _add_delay(described: Described, text: XmlText, value: float) -> bool:
 
 def _add_saturation(described: Described, text: XmlText, value: float) -> bool:
     """The command is cut off at ± 1/s, as by ctrlrange."""
+    if value == 0.0:
+        return True
     low, high = described.mechanism.held.clip
     limit = 1.0 / value
     if described.driven < 0:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from math import isfinite
 from pathlib import Path
@@ -81,7 +81,8 @@ class Coordinate:
 class Simulator:
     """A simulator as its user describes it; made by :func:`simulator`. Wherever a rig may be named, it may.
 
-    One that only answers when it is called, a step or a MuJoCo file, is ``stepped``.
+    One that only answers when it is called, a step or a MuJoCo file, is ``stepped``; ``nominal`` are values
+    of a file that stand for the user's simulation, as ``[nominal]`` of a rig file would.
 
     Example:
         >>> import labhil as lh
@@ -106,6 +107,7 @@ class Simulator:
     coordinate: Coordinate
     horizon: float | None
     stepped: Stepped | None = None
+    nominal: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def kind(self) -> RigKind:
@@ -233,7 +235,7 @@ def declare(made: Simulator, baseline: tuple[str, ...]) -> None:
         return SimulatorModel(made, rig, record)
 
     declare_kind(made.kind)
-    declare_model(made.name, RigModel(model, baseline, (*baseline, "coulomb_friction")))
+    declare_model(made.name, RigModel(model, baseline, tuple(dict.fromkeys((*baseline, "coulomb_friction")))))
 
 
 def _measured(

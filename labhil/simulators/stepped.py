@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -20,11 +20,10 @@ Nodes = tuple[FloatArray, FloatArray]
 class Held:
     """What of a simulator is no smooth acceleration, and is solved apart from it.
 
-    ``rubs`` names its own parameters by their places in the friction law (``physics.friction``); ``stops``
-    are the ends of its way, ``clip`` what its input is clipped to, ``delay`` (s) by how much that acts late.
+    ``stops`` are the ends of its way, ``clip`` what its input is clipped to, ``delay`` (s) by how much that
+    acts late.
     """
 
-    rubs: Mapping[int, str] = field(default_factory=dict)
     stops: tuple[float, float] = (-np.inf, np.inf)
     clip: tuple[float, float] = (-np.inf, np.inf)
     delay: float = 0.0
