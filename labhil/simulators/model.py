@@ -16,7 +16,7 @@ from labhil.physics.at_port import Course, Pushes
 from labhil.physics.driven import DrivenPath
 from labhil.physics.extra_force import ExtraForce, MovedPart, Pushed, PushedCourse
 from labhil.physics.guesses import yardsticks_of
-from labhil.physics.model import Metric, Record, Windows, start_values
+from labhil.physics.model import Metric, Record, Windows, index_of, start_values
 from labhil.physics.moving_part import Stops
 from labhil.physics.terms import Parameter, Term, Yardstick
 from labhil.physics.values import Values, known_numbers
@@ -26,7 +26,7 @@ from labhil.simulators.catalogue import Sizes, catalogue, rates
 from labhil.simulators.confounded import confounded, dependent
 from labhil.simulators.laws import Kernels, kernels_of
 from labhil.simulators.probing import dead_parameters
-from labhil.simulators.stepped import Held
+from labhil.simulators.stepped import Held, Stepped
 from labhil.simulators.tables import Reach, Shape, table_of
 
 if TYPE_CHECKING:
@@ -40,6 +40,9 @@ PLACES = 12
 
 FEWEST_ROWS = 40
 """Samples that a scored horizon has at least."""
+
+STRAYS = 0.1
+"""Share of the motion by which a simulator's own steps may differ from what is fitted without a note."""
 
 NUDGE = 1e-4
 REMEMBERED = 32
@@ -156,12 +159,33 @@ class SimulatorModel:
         self.notes = [_dead_note(name, self.simulator, self.kind) for name in dead]
         alive = self._without(own, dead)
         if self.simulator.stepped is not None:
+            self.notes += self._beside_itself(self.simulator.stepped, record, windows, states)
             same = dependent(self, alive, record, windows, states)
             self.notes += [_same_note(name, self.simulator) for name in same]
             alive = self._without(alive, same)
         self.never_seen = confounded(self, alive, record, windows, states)
         left = {key: term for key, term in self.terms.items() if key not in self.never_seen}
         self._set(alive, left, self.sizes)
+
+    def _beside_itself(
+        self, stepped: Stepped, record: Record, windows: Windows, states: FloatArray
+    ) -> list[str]:
+        """A note where the simulator, stepping by itself, goes elsewhere than what is fitted."""
+        theta, index = start_values(self.parameters), index_of(self.parameters)
+        for name, value in self.nominal.items():
+            if name in index:
+                theta[index[name]] = value
+        numbers = [self._values.of(theta, name) for name in self.simulator.parameters]
+        nodes = self._path.nodes(record, 0, lambda name: self._values.of(theta, name))
+        itself = stepped.roll_out(numbers, record, nodes, windows, states)[:, self.columns[0]]
+        if not np.isfinite(itself).all():
+            raise RecordingError(
+                f"simulator {self.kind!r}: expected finite outputs where it steps along the recording by "
+                "itself, found some that are none; give starts that are nearer, or a shorter time step"
+            )
+        fitted = self._trajectory(theta, record, windows, states)[:, self.columns[0]]
+        share = float(np.sqrt(np.mean((itself - fitted) ** 2))) / (float(np.std(fitted)) or 1.0)
+        return [_strays_note(self.kind, share)] if share > STRAYS else []
 
     def _without(self, own: tuple[Parameter, ...], names: Collection[str]) -> tuple[Parameter, ...]:
         """The other parameters; these stay at their starts."""
@@ -335,6 +359,14 @@ def _dead_note(name: str, simulator: Simulator, kind: str) -> str:
     return (
         f"{name} changes nothing in the simulated {', '.join(simulator.outputs)} of {kind}: its value never "
         f"reached the simulation. It is left at {simulator.parameters[name].start:g} and not estimated."
+    )
+
+
+def _strays_note(kind: str, share: float) -> str:
+    return (
+        f"{kind}, stepping by itself from the same states, differs from what is fitted by {100 * share:.2g} "
+        "% of the motion: a long time step of its own, soft dry friction, contacts or stops. `labhil patch` "
+        "runs the file itself."
     )
 
 
