@@ -252,7 +252,10 @@ def _write(text: XmlText, beside: str, out: Path, code: Path) -> str:
 
 def _refusal(into: Path, attempts: list[Attempt], model: float, left: Left) -> str:
     if left.unknown:
-        return f"{into}: no way is known to write {', '.join(left.unknown)} into a file; nothing is written"
+        return (
+            f"{into}: no way is known to write {', '.join(left.unknown)} of this size into a file (an "
+            "armature cannot be negative: correct the inertia of the body); nothing is written"
+        )
     tried = "; ".join(f"{a.beside or 'as it is'}: {a.rmse:.4g} ({a.ratio:.2f} times)" for a in attempts)
     return (
         f"{into}: expected the repaired file to make an error of {model:.4g} on held-out data, or up to "

@@ -17,7 +17,7 @@ FILE = """<?xml version="1.0"?>
     <body name="rod">
       <joint name="hinge"
              axis="0 1 0"/>  <!-- ball bearing, taken for free of friction -->
-      <inertial pos="0 0 -0.1" mass="0.4" diaginertia="0.0204 0.0204 1e-3"/>
+      <inertial pos="0 0 -0.1" mass="0.4" diaginertia="0.015 0.015 1e-3"/>
     </body>
   </worldbody>
   <actuator><motor name="motor" joint="hinge"/></actuator>
