@@ -77,6 +77,9 @@ def describe(
     values = tuple(_values(model, joint, driven, hinge))
     states = {position: length, velocity: f"{length}/s"}
     called = _identifier(name or _model_name(model, file))
+    frictions = {name: read_value(model, field, joint) for field, name in RUBS.items()}
+    terms = [name.partition(".")[0] for name, strength in frictions.items() if strength]
+    begins = tuple(dict.fromkeys((VISCOUS, *terms)))
     mechanism = Mechanism(model, driven, values, _held(model, joint, driven, file))
     made = Simulator(
         _not_compiled,
@@ -90,10 +93,9 @@ def describe(
         None,
         mechanism,
         {value.name: value.start for value in values}
-        | {name: read_value(model, field, joint) for field, name in RUBS.items()},
+        | {name: strength for name, strength in frictions.items() if name.partition(".")[0] in begins},
     )
-    terms = [name.partition(".")[0] for field, name in RUBS.items() if read_value(model, field, joint)]
-    declare(made, tuple(dict.fromkeys((VISCOUS, *terms))))
+    declare(made, begins)
     return Described(file, model, made, mechanism, driven.actuator)
 
 

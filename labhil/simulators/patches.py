@@ -50,6 +50,11 @@ def patched(described: Described, text: XmlText, values: Mapping[str, float]) ->
     Raises:
         UsageError: The file does not itself have what is to be changed (it includes another file).
     """
+    if text.elements[0].tag != "mujoco":
+        raise UsageError(
+            f"{text.path}: expected an MJCF file (<mujoco>), found <{text.elements[0].tag}>; save it "
+            "as MJCF with mujoco.mj_saveLastXML first"
+        )
     own = {value.name: value for value in described.mechanism.values}
     rubs = {name: 0.0 for field, name in RUBS.items() if read_value(described.model, field, 0) != 0.0}
     left = rubs | dict(values)  # friction of the file that the result does without is taken out

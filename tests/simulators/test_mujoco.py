@@ -187,6 +187,7 @@ def test_a_diagnosis_names_what_the_plant_conceals(
     assert {effect.term for effect in found.missing} - {"added_inertia"} == missing
     changed = {each.name: each.before for each in found.changed}
     assert changed["viscous_friction.coefficient"] == 0.0
+    assert "coulomb_friction.level" not in changed  # the file has none: it is missing, not changed
 
 
 class Old:

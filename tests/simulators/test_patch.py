@@ -81,6 +81,21 @@ def test_what_the_format_cannot_hold_is_a_function_with_its_law(tmp_path: Path) 
     assert "F = -F_st exp(-|v| / v_s) sgn v" in code
 
 
+def test_a_urdf_is_to_be_saved_as_mjcf_first(tmp_path: Path) -> None:
+    path = tmp_path / "arm.urdf"
+    path.write_text(
+        '<robot name="arm"><link name="base"/><joint name="elbow" type="continuous"><parent link="base"/>'
+        '<child link="rod"/><axis xyz="0 1 0"/><dynamics damping="0.1" friction="0.2"/></joint>'
+        '<link name="rod"><inertial><origin xyz="0 0 -0.1"/><mass value="0.4"/><inertia ixx="0.02" '
+        'iyy="0.02" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>',
+        encoding="utf-8",
+    )
+    described = describe(path, {"torque": "elbow"}, {"angle": "elbow"})
+    assert described.simulator.nominal["coulomb_friction.level"] == 0.2
+    with pytest.raises(UsageError, match="expected an MJCF file"):
+        patched(described, XmlText.read(path), {"viscous_friction.coefficient": 0.2})
+
+
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the file, its rig file, a recording without dry friction, and a fit of it."""
