@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from labhil.api.simulation import Simulation
     from labhil.api.verification import Verification, verify
     from labhil.experiment.bench import Bench
+    from labhil.simulators.mjcf import mujoco_simulator
     from labhil.simulators.simulator import Coordinate, Quantity, Simulator, simulator
 
 __all__ = [
@@ -68,6 +69,7 @@ __all__ = [
     "fit",
     "load",
     "model",
+    "mujoco_simulator",
     "read",
     "recording",
     "run",

@@ -18,6 +18,7 @@ from labhil.commands.files import add_files
 from labhil.commands.firmware import add_firmware
 from labhil.commands.machine import add_machine
 from labhil.commands.pages import link_pages
+from labhil.commands.repair import add_repair
 from labhil.commands.safety import add_safety
 from labhil.commands.serve import add_serve
 from labhil.commands.start import add_start
@@ -81,6 +82,7 @@ for add in (
     add_firmware,
     add_files,
     add_analysis,
+    add_repair,
     add_trials,
     add_studies,
     add_benchmarks,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from importlib import import_module
 from math import inf, isfinite
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
@@ -18,16 +19,22 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from labhil.documents import DocumentError, parse_toml
-from labhil.errors import RigFileError, UsageError, suggestion
+from labhil.errors import MissingExtraError, RigFileError, UsageError, suggestion
 from labhil.kinds import Known, RigKind, kind_named, kind_names
 from labhil.python_file import object_of
 from labhil.signals import Hold
+from labhil.toml_text import toml_value
 
 Threshold = Annotated[float, Field(allow_inf_nan=False)] | None
 
 
 LARGEST_FILE = 32 << 20
 """Bytes of a file that a rig file names. It goes into every recording; half a million points fit into it."""
+
+
+MUJOCO_FILES = (".xml", ".mjcf", ".urdf")
+MUJOCO_READER = "labhil.simulators.mjcf"
+"""What reads a MuJoCo file; imported where a rig file names one."""
 
 
 class _Section(BaseModel):
@@ -49,9 +56,30 @@ class RigSection(_Section):
 
 
 class ModelSection(_Section):
-    """``[model]``: the simulator of a user's own, in place of ``[rig]``: a Python file and a name in it."""
+    """``[model]``: the simulator of a user's own, in place of ``[rig]``.
 
-    python: str
+    Either ``python``, a Python file and a name in it, or ``mujoco``, an MJCF or URDF file. Of that,
+    ``inputs`` and ``outputs`` give actuators, joints and sensors by the names of the recorded signals.
+    """
+
+    python: str | None = None
+    mujoco: str | None = None
+    inputs: dict[str, str] | None = None
+    outputs: dict[str, str] | None = None
+
+    @model_validator(mode="after")
+    def _one_of_them(self) -> ModelSection:
+        if (self.python is None) == (self.mujoco is None):
+            raise ValueError('give either python = "FILE.py:NAME" or mujoco = "FILE.xml"')
+        if self.python is not None and (self.inputs or self.outputs):
+            raise ValueError("inputs and outputs are for mujoco; a simulator in Python states its own")
+        return self
+
+
+class _OwnModel(_Section):
+    """That section by itself."""
+
+    model: ModelSection
 
 
 class Limit(_Section):
@@ -281,7 +309,12 @@ class RigFile(_Section):
 
 
 def load_rig(path: Path) -> RigFile:
-    """Read a rig file and the files that it names; RigFileError says where, and what was expected."""
+    """Read a rig file and the files that it names; RigFileError says where, and what was expected.
+
+    A simulator's file (see :func:`simulator_rig`) stands for a rig file that names it.
+    """
+    if is_simulator(str(path)):
+        return simulator_rig(str(path))
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -308,8 +341,8 @@ def parse_rig(text: str, path: Path, files: Mapping[str, bytes] | None = None) -
         raise RigFileError(f"{path}: not TOML: {error}") from error
     if "model" in data and "rig" not in data:
         raise OwnSimulatorError(
-            f"{path}: describes a simulator by a Python file, which is not run unless you name it yourself: "
-            "give the rig file with --rig RIG.toml"
+            f"{path}: describes a simulator by a file of its own, which is not loaded unless you name it "
+            "yourself: give the rig file with --rig RIG.toml"
         )
     if "rig" not in data:
         near = suggestion("rig", data)
@@ -330,22 +363,60 @@ class OwnSimulatorError(RigFileError):
 def _with_kind(text: str, path: Path) -> str:
     """The text of a rig file that was named by its user, with the kind that its simulator is."""
     try:
-        section = parse_toml(text).get("model")
+        data = parse_toml(text)
     except DocumentError:
-        return text  # said where it is parsed
-    stated = section.get("python") if isinstance(section, Mapping) else None
-    if not isinstance(stated, str):
+        return text  # reported where it is parsed
+    if "model" not in data:
         return text
     try:
-        kind = getattr(object_of(stated, path.parent), "kind", None)
+        section = _OwnModel.model_validate({"model": data["model"]}).model
+    except ValidationError as error:
+        raise RigFileError(explain(error, path, _OwnModel)) from error
+    kind = _kind_of(section, path)
+    return text if "rig" in data else f'{text}\n[rig]\nkind = "{kind.name}"\n'
+
+
+def _kind_of(section: ModelSection, path: Path) -> RigKind:
+    """Load the simulator of a rig file, which makes its kind known."""
+    try:
+        if section.mujoco is not None:
+            reader = import_module(MUJOCO_READER).mujoco_simulator
+            made = reader(path.parent / section.mujoco, inputs=section.inputs, outputs=section.outputs)
+        else:
+            made = object_of(section.python or "", path.parent)
+    except MissingExtraError:
+        raise
     except UsageError as error:
-        raise RigFileError(f"{path}: model.python: {error}") from error
+        name = "python" if section.mujoco is None else "mujoco"
+        raise RigFileError(f"{path}: model.{name}: {error}") from error
+    kind = getattr(made, "kind", None)
     if not isinstance(kind, RigKind):
         raise RigFileError(
-            f"{path}: model.python: expected what labhil.simulator gives, found something else in {stated}"
+            f"{path}: model.python: expected what labhil.simulator gives, found something else in "
+            f"{section.python}"
         )
-    stated_kind = "" if "rig" not in parse_toml(text) else text
-    return stated_kind or f'{text}\n[rig]\nkind = "{kind.name}"\n'
+    return kind
+
+
+def simulator_rig(stated: str) -> RigFile:
+    """A rig file that says nothing but which simulator it is.
+
+    Args:
+        stated: ``bench.py:pendulum``, or the path of an MJCF or URDF file.
+
+    Raises:
+        RigFileError: What is wrong with the simulator.
+    """
+    path = Path(stated)
+    what = "mujoco" if path.suffix.lower() in MUJOCO_FILES else "python"
+    text = f"[model]\n{what} = {toml_value(path.name)}\n"
+    return parse_rig(_with_kind(text, path), path)
+
+
+def is_simulator(stated: str) -> bool:
+    """Whether a text names a simulator: a MuJoCo file, or a Python file with a name in it."""
+    file, colon, _ = stated.rpartition(":")
+    return Path(stated).suffix.lower() in MUJOCO_FILES or bool(colon and file.endswith(".py"))
 
 
 def default_rig(kind: str) -> RigFile:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from labhil.analysis.results import Source
+from labhil.analysis.simulator_names import refuse_other_names
 from labhil.analysis.still import constant
 from labhil.diagnose.fault import Fault
 from labhil.diagnose.intake import with_censored, without_spikes
@@ -379,7 +380,9 @@ def _said(value: object) -> str:
 def rig_of(recording: Recording, rig_file: Path | RigFile | None) -> RigFile:
     """The given rig file, or the one that the recording carries; RecordingError when it carries none."""
     if rig_file is not None:
-        return rig_file if isinstance(rig_file, RigFile) else load_rig(rig_file)
+        rig = rig_file if isinstance(rig_file, RigFile) else load_rig(rig_file)
+        refuse_other_names(recording, rig)
+        return rig
     if recording.rig is None:
         if rig_name() in recording.ambiguous:
             raise RecordingError(
@@ -389,7 +392,7 @@ def rig_of(recording: Recording, rig_file: Path | RigFile | None) -> RigFile:
         damage = f" ({recording.damage})" if recording.damage else ""
         raise RecordingError(
             f"{recording.path}: carries no rig file{damage}; give one with --rig RIG.toml (that of a "
-            "simulator in a Python file always has to be given: code that came with a recording is not run)"
+            "simulator of your own always has to be given: files that came with a recording are not loaded)"
         )
     return recording.rig
 

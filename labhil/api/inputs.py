@@ -13,7 +13,7 @@ import numpy as np
 
 from labhil.errors import OptionError, UsageError
 from labhil.kinds import kind_names
-from labhil.rig import RigFile, default_rig, load_rig
+from labhil.rig import RigFile, default_rig, is_simulator, load_rig
 
 if TYPE_CHECKING:
     from labhil.analysis.material import Material
@@ -41,7 +41,7 @@ def path_of(value: object, what: str) -> Path:
 
 
 def rig_file(rig: PathLike | Model | RigFile | None) -> RigFile | None:
-    """The rig file that a kind, a path or a model stands for; None for None.
+    """The rig file that a kind, a path, a simulator's file or a model stands for; None for None.
 
     Raises:
         UsageError: It is none of these, or neither a kind nor a file.
@@ -55,7 +55,7 @@ def rig_file(rig: PathLike | Model | RigFile | None) -> RigFile | None:
     if isinstance(rig, str) and rig in kind_names():
         return default_rig(rig)
     path = path_of(rig, "rig")
-    if not path.exists():
+    if not path.exists() and not is_simulator(str(path)):
         near = difflib.get_close_matches(str(rig), kind_names(), n=1, cutoff=SHORTEST_LIKENESS)
         hint = f" (did you mean {near[0]!r}?)" if near else ""
         raise UsageError(

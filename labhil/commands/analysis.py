@@ -17,6 +17,7 @@ from labhil.console import (
     split_names,
     tell,
 )
+from labhil.errors import OptionError
 from labhil.terminal import show, status
 
 if TYPE_CHECKING:
@@ -41,9 +42,20 @@ SpanOption = Annotated[
     tuple[float, float] | None,
     typer.Option(metavar="FROM TO", help="Use only this stretch of every recording, s."),
 ]
+SimulatorOption = Annotated[
+    str | None,
+    typer.Option(metavar="FILE", help="Your simulator instead: arm.xml (MuJoCo) or bench.py:pendulum."),
+]
 TestOption = Annotated[
     list[Path] | None, typer.Option(help="A separate recording to judge on; may be repeated.")
 ]
+
+
+def rig_or_simulator(rig: Path | None, simulator: str | None) -> Path | str | None:
+    """The one of the two that is given; UsageError where both are."""
+    if rig is not None and simulator is not None:
+        raise OptionError("simulator", ": expected it or --rig, found both; a rig file names it as [model]")
+    return simulator or rig
 
 
 def add_analysis(app: typer.Typer) -> None:
@@ -75,6 +87,7 @@ def fit(
     recordings: RecordingsArgument,
     *,
     rig: Annotated[Path | None, typer.Option(help="Rig file; default: the recording's own.")] = None,
+    simulator: SimulatorOption = None,
     model: Annotated[Path | None, typer.Option(help="A fit or diagnosis to start from (JSON).")] = None,
     estimator: Annotated[
         str,
@@ -123,7 +136,7 @@ def fit(
     with status() as say:
         result = make(
             recordings,
-            rig,
+            rig_or_simulator(rig, simulator),
             terms=names,
             test=test or None,
             holdout=holdout,
@@ -148,6 +161,7 @@ def diagnose(
     recordings: RecordingsArgument,
     *,
     rig: Annotated[Path | None, typer.Option(help="Rig file; default: the recording's own.")] = None,
+    simulator: SimulatorOption = None,
     model: Annotated[Path | None, typer.Option(help="A fit or diagnosis: your simulation (JSON).")] = None,
     baseline: Annotated[str | None, typer.Option(help="Terms that your simulation has: a,b,…")] = None,
     per_recording: PerRecordingOption = None,
@@ -177,7 +191,7 @@ def diagnose(
     with status() as say:
         result = search(
             recordings,
-            rig,
+            rig_or_simulator(rig, simulator),
             baseline=baseline,
             test=test or None,
             holdout=holdout,
@@ -213,6 +227,7 @@ def verify(
     *,
     model: Annotated[Path, typer.Option(help="The accepted model: a fit or a diagnosis (JSON).")],
     rig: Annotated[Path | None, typer.Option(help="Rig file; default: the recording's own.")] = None,
+    simulator: SimulatorOption = None,
     device: DeviceOption = None,
     run: RunOption = None,
     alpha: Annotated[
@@ -229,7 +244,16 @@ def verify(
 
     refuse_unwritable(json_path)
     with status() as say:
-        result = compare(recording, model, rig, alpha=alpha, device=device, run=run, progress=say, warn=tell)
+        result = compare(
+            recording,
+            model,
+            rig_or_simulator(rig, simulator),
+            alpha=alpha,
+            device=device,
+            run=run,
+            progress=say,
+            warn=tell,
+        )
     deliver(result.to_dict(), json_path, lambda: result.show(results_console()))
     if result.contradicted:
         raise typer.Exit(1)

@@ -18,6 +18,9 @@ STEP = 1e-6
 APART = 1e-3
 """Share of an effect's own change of the outputs that must be no change of the parameters' and states'."""
 
+DISTINCT = 1e-2
+"""The same of a simulator's own parameter, beside those before it: a fit has to tell them apart."""
+
 
 def confounded(
     model: SimulatorModel, own: Sequence[Parameter], record: Record, windows: Windows, states: FloatArray
@@ -30,11 +33,7 @@ def confounded(
     base = model.simulate(theta, record, windows, states)
 
     def change(key: str) -> FloatArray:
-        parameter = model.parameters[index[key]]
-        moved = theta.copy()
-        step = STEP * (parameter.scale if theta[index[key]] == 0.0 else abs(theta[index[key]]))
-        moved[index[key]] += step
-        return np.asarray((model.simulate(moved, record, windows, states) - base) / step).ravel()
+        return _change(model, theta, index[key], record, windows, states, base)
 
     known = _normed([change(p.key) for p in own] + _by_states(model, theta, record, windows, states, base))
     found = {}
@@ -50,6 +49,41 @@ def confounded(
             names = ", ".join(p.name for p in own)
             found[key] = f"it changes the outputs just as {names} of the simulator, or the first state, do"
     return found
+
+
+def dependent(
+    model: SimulatorModel, own: Sequence[Parameter], record: Record, windows: Windows, states: FloatArray
+) -> tuple[str, ...]:
+    """Names of own parameters that change the outputs just as those before them in ``own`` do together."""
+    theta, index = start_values(model.parameters), index_of(model.parameters)
+    base = model.simulate(theta, record, windows, states)
+    columns = _by_states(model, theta, record, windows, states, base)
+    found = []
+    for parameter in own:
+        column = _change(model, theta, index[parameter.key], record, windows, states, base)
+        known, size = _normed(columns), float(np.linalg.norm(column))
+        left = column - known @ np.linalg.lstsq(known, column, rcond=1e-10)[0]
+        if float(np.linalg.norm(left)) < DISTINCT * size:
+            found.append(parameter.name)
+        else:
+            columns.append(column)
+    return tuple(found)
+
+
+def _change(
+    model: SimulatorModel,
+    theta: FloatArray,
+    place: int,
+    record: Record,
+    windows: Windows,
+    states: FloatArray,
+    base: FloatArray,
+) -> FloatArray:
+    """How the outputs change with a parameter, per unit of it."""
+    moved = theta.copy()
+    step = STEP * (model.parameters[place].scale if theta[place] == 0.0 else abs(theta[place]))
+    moved[place] += step
+    return np.asarray((model.simulate(moved, record, windows, states) - base) / step).ravel()
 
 
 def _by_states(

@@ -1,8 +1,4 @@
-"""A user's right-hand side compiled together with the catalogue's forces, at the port of its coordinate.
-
-v̇ = share·f(x, v, u) + (F₀ − k·x − k₃·x³ − cogging − friction)/M: rest is an event (``physics.stick_slip``),
-so dry friction at the coordinate is solved and not smoothed.
-"""
+"""A user's right-hand side compiled together with the catalogue's forces (see ``physics.at_port``)."""
 
 from __future__ import annotations
 
@@ -14,36 +10,14 @@ import numpy as np
 
 from labhil.compiled import specialised
 from labhil.errors import UsageError
-from labhil.physics import friction, sliding
+from labhil.physics.at_port import laws_of
 from labhil.physics.extra_force import with_extra
-from labhil.physics.friction import Law
-from labhil.physics.moving_part import TINY, Follows, Laws, Motion, Stops
+from labhil.physics.moving_part import Motion, Stops
 from labhil.physics.stick_slip import integrator
 from labhil.signals import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from labhil.simulators.simulator import Simulator
-
-
-class Pushes(NamedTuple):
-    """Everything over the inertia M: added forces, friction, and the share that f keeps of its own.
-
-    ``load`` turns the size of the input into the load on what rubs. ``stiff`` and ``quick`` are bounds of
-    what f changes with position (1/s²) and velocity (1/s).
-    """
-
-    extra: sliding.Part
-    law: Law
-    share: float
-    load: float
-    stiff: float
-    quick: float
-
-
-class Course(NamedTuple):
-    """Nothing changes along a recording."""
-
-    nothing: float
 
 
 class Kernels(NamedTuple):
@@ -53,7 +27,7 @@ class Kernels(NamedTuple):
     """
 
     acceleration: Callable[[float, float, float, Any], float]
-    pull: Callable[..., float]
+    pull: Callable[..., FloatArray]
     run: Callable[..., None]
     run_pushed: Callable[..., None]
 
@@ -95,7 +69,7 @@ def _called(function: Callable[..., float]) -> Callable[..., float]:
 def kernels_of(simulator: Simulator) -> Kernels:
     """Compile the simulation of a simulator with all laws at its ports."""
     acceleration = acceleration_of(simulator)
-    laws = _laws(acceleration)
+    laws = laws_of(acceleration)
     njit: Any = numba.njit
     run, pushed, pull = integrator(laws), integrator(with_extra(laws)), laws.pull
 
@@ -122,61 +96,3 @@ def kernels_of(simulator: Simulator) -> Kernels:
         return found
 
     return Kernels(_called(acceleration), pulls, outer, outer_pushed)
-
-
-def _laws(acceleration: Callable[[float, float, float, Any], float]) -> Laws[Any, Any]:
-    """The physics of the coordinate; a part is (values of p, pushes)."""
-
-    @specialised
-    def free(s: Motion, u: float, part: Any) -> float:
-        p, pushes = part
-        return pushes.share * acceleration(s.x, s.v, u, p) + sliding.pushed(0.0, s.x, pushes.extra)
-
-    @specialised
-    def pull(s: Motion, side: float, u: float, part: Any) -> float:
-        pushes = part[1]
-        return free(s, u, part) - friction.friction(s.x, s.v, side, pushes.load * abs(u), pushes.law)
-
-    @specialised
-    def grip(s: Motion, u: float, part: Any) -> tuple[float, float]:
-        pushes = part[1]
-        return free(s, u, part), friction.hold(s.x, pushes.load * abs(u), pushes.law)
-
-    @specialised
-    def none(s: Motion, u: float, part: Any) -> float:
-        return 0.0
-
-    @specialised
-    def target(s: Motion, u: float, how: Follows, part: Any) -> float:
-        return 0.0
-
-    @specialised
-    def follow(s: Motion, part: Any) -> Follows:
-        return Follows(0.0, 0.0, 0.0, 0.0)
-
-    @specialised
-    def longest(
-        s: Motion, side: float, u: float, rise: float, since: float, how: Follows, finest: float, part: Any
-    ) -> float:
-        if side == 0.0:
-            return np.inf
-        pushes = part[1]
-        extra = pushes.extra
-        bend = extra.cogging_order * (abs(extra.cogging_sine) + abs(extra.cogging_cosine))
-        stiff = pushes.stiff + abs(extra.spring + 3.0 * extra.hardening * s.x * s.x) + abs(bend)
-        size = min(sliding.SHARE_OF_SWING / np.sqrt(stiff + TINY), friction.RESOLVED / (pushes.quick + TINY))
-        size = min(size, friction.pace(s.v, pull(s, side, u, part), pushes.law))
-        if bend != 0.0:
-            size = min(size, friction.RESOLVED / (abs(extra.cogging_order * s.v) + TINY))
-        return max(size, finest)
-
-    @specialised
-    def damped(s: Motion, side: float, part: Any) -> tuple[float, float]:
-        # f's own damping is not known: it is followed by small steps and never said to creep
-        return 0.0, 0.0
-
-    @specialised
-    def at(part: Any, course: Any, k: int) -> Any:
-        return part
-
-    return Laws(pull, target, follow, none, grip, longest, damped, at)

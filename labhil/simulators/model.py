@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -11,20 +11,23 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from labhil.errors import RecordingError
-from labhil.physics import sliding
+from labhil.physics import sliding, tabulated
+from labhil.physics.at_port import Course, Pushes
 from labhil.physics.driven import DrivenPath
 from labhil.physics.extra_force import ExtraForce, MovedPart, Pushed, PushedCourse
 from labhil.physics.guesses import yardsticks_of
-from labhil.physics.model import Metric, Record, Windows, start_values
-from labhil.physics.moving_part import NO_STOPS
+from labhil.physics.model import Metric, Record, Windows, index_of, start_values
+from labhil.physics.moving_part import Stops
 from labhil.physics.terms import Parameter, Term, Yardstick
 from labhil.physics.values import Values, known_numbers
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
-from labhil.simulators.catalogue import Sizes, catalogue
-from labhil.simulators.confounded import confounded
-from labhil.simulators.laws import Course, Kernels, Pushes, kernels_of
+from labhil.simulators.catalogue import Sizes, catalogue, rates
+from labhil.simulators.confounded import confounded, dependent
+from labhil.simulators.laws import Kernels, kernels_of
 from labhil.simulators.probing import dead_parameters
+from labhil.simulators.stepped import Held, Stepped
+from labhil.simulators.tables import Reach, Shape, table_of
 
 if TYPE_CHECKING:
     from labhil.simulators.simulator import Simulator
@@ -38,13 +41,18 @@ PLACES = 12
 FEWEST_ROWS = 40
 """Samples that a scored horizon has at least."""
 
+STRAYS = 0.1
+"""Share of the motion by which a simulator's own steps may differ from what is fitted without a note."""
+
 NUDGE = 1e-4
 REMEMBERED = 32
 _KERNELS: dict[int, tuple[Simulator, Kernels]] = {}
 
 
 def compiled_of(simulator: Simulator) -> Kernels:
-    """The kernels of a simulator, compiled once in a process."""
+    """The kernels of a simulator, compiled once in a process; of stepped ones, once for all."""
+    if simulator.stepped is not None:
+        return Kernels(tabulated.looked_up, tabulated.pulls, tabulated.run, tabulated.run_pushed)
     found = _KERNELS.get(id(simulator.f))
     if found is None or found[0].f is not simulator.f or found[0].states != simulator.states:
         found = _KERNELS[id(simulator.f)] = (simulator, kernels_of(simulator))
@@ -72,7 +80,7 @@ class SimulatorModel:
     _extra: ExtraForce | None = None
 
     def __init__(self, simulator: Simulator, rig: RigFile, record: Record | None = None) -> None:
-        self.simulator = simulator
+        self.simulator, self.nominal = simulator, simulator.nominal
         self.kind = simulator.name
         self.position, self.velocity = simulator.states
         self.state_names = (self.position, _velocity_name(self.position, self.velocity))
@@ -88,6 +96,9 @@ class SimulatorModel:
         self._path = DrivenPath()
         self._remembered: dict[tuple[float, ...], Own] = {}
         self._places = np.array([[0.0, 0.0, 0.0], [0.3, 0.1, 0.1]])
+        self._held = Held() if simulator.stepped is None else simulator.stepped.held
+        self._reach = Reach()
+        self._shape: Shape | None = None
         own = tuple(q.parameter(n) for n, q in simulator.parameters.items() if n not in self.fixed)
         self._set(own, {}, Sizes())
         self._measure(own, record)
@@ -107,6 +118,7 @@ class SimulatorModel:
         """Take scales and terms from a recording."""
         sizes = Sizes()
         if record is not None:
+            self._look_along(record)
             at = self._own(start_values(own))
             sizes = Sizes.of(record, self._velocity_column, at.inertia, at.gain)
             rows = np.linspace(0, len(record) - 2, PLACES).astype(int)
@@ -121,6 +133,14 @@ class SimulatorModel:
         channel, unit = next(iter(self.simulator.outputs.items()))
         drive = next(iter(self.simulator.inputs.values()))
         self._set(own, catalogue(sizes, self.force_unit, length, self.position, drive, channel, unit), sizes)
+
+    def _look_along(self, record: Record) -> None:
+        """Take from a recording where the simulator will be asked."""
+        place = record.outputs[:, 0] if self.columns[0] == 0 else None
+        speeds = np.concatenate([rates(each, self._velocity_column) for each in record.recordings()])
+        self._reach = Reach.along(place, speeds, record.inputs[:, 0], record.countable, self._held.clip)
+        self._shape = None
+        self._remembered.clear()
 
     def _try_out(self, own: tuple[Parameter, ...], record: Record) -> None:
         """Find what of the parameters never reaches the outputs, and which effects look like others."""
@@ -137,12 +157,42 @@ class SimulatorModel:
             )
         dead = dead_parameters(simulate, theta, [p.name for p in own])
         self.notes = [_dead_note(name, self.simulator, self.kind) for name in dead]
-        self.fixed |= {p.name: p.starts[0] for p in own if p.name in dead}
-        alive = tuple(p for p in own if p.name not in dead)
-        self._set(alive, self.terms, self.sizes)
+        alive = self._without(own, dead)
+        if self.simulator.stepped is not None:
+            self.notes += self._beside_itself(self.simulator.stepped, record, windows, states)
+            same = dependent(self, alive, record, windows, states)
+            self.notes += [_same_note(name, self.simulator) for name in same]
+            alive = self._without(alive, same)
         self.never_seen = confounded(self, alive, record, windows, states)
         left = {key: term for key, term in self.terms.items() if key not in self.never_seen}
         self._set(alive, left, self.sizes)
+
+    def _beside_itself(
+        self, stepped: Stepped, record: Record, windows: Windows, states: FloatArray
+    ) -> list[str]:
+        """A note where the simulator, stepping by itself, goes elsewhere than what is fitted."""
+        theta, index = start_values(self.parameters), index_of(self.parameters)
+        for name, value in self.nominal.items():
+            if name in index:
+                theta[index[name]] = value
+        numbers = [self._values.of(theta, name) for name in self.simulator.parameters]
+        nodes = self._path.nodes(record, 0, lambda name: self._values.of(theta, name))
+        itself = stepped.roll_out(numbers, record, nodes, windows, states)[:, self.columns[0]]
+        if not np.isfinite(itself).all():
+            raise RecordingError(
+                f"simulator {self.kind!r}: expected finite outputs where it steps along the recording by "
+                "itself, found some that are none; give starts that are nearer, or a shorter time step"
+            )
+        fitted = self._trajectory(theta, record, windows, states)[:, self.columns[0]]
+        share = float(np.sqrt(np.mean((itself - fitted) ** 2))) / (float(np.std(fitted)) or 1.0)
+        return [_strays_note(self.kind, share)] if share > STRAYS else []
+
+    def _without(self, own: tuple[Parameter, ...], names: Collection[str]) -> tuple[Parameter, ...]:
+        """The other parameters; these stay at their starts."""
+        self.fixed |= {p.name: p.starts[0] for p in own if p.name in names}
+        left = tuple(p for p in own if p.name not in names)
+        self._set(left, self.terms, self.sizes)
+        return left
 
     def with_force(self, force: ExtraForce) -> SimulatorModel:
         """The same simulator under one more force."""
@@ -195,7 +245,7 @@ class SimulatorModel:
         self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
     ) -> Mapping[str, FloatArray]:
         """What acts of the input behind the way in."""
-        return {"acting_drive": self._path.at_samples(record, windows, lambda n: self._values.of(theta, n))}
+        return {"acting_drive": self._path.at_samples(record, windows, lambda n: self._on_the_way(theta, n))}
 
     def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """Force on the inertia at these coordinates; zero where it rests."""
@@ -223,11 +273,9 @@ class SimulatorModel:
         return found
 
     def _looked_at(self, numbers: tuple[float, ...]) -> Own:
-        _, _, parameters = self.simulator.records
-        p, f = parameters(*numbers), self._kernels.acceleration
+        p, f = self._asked(numbers), self._kernels.acceleration
         gain = f(0.0, 0.0, 1.0, p) - f(0.0, 0.0, 0.0, p)
-        inertia_name = self.simulator.coordinate.inertia
-        inertia = dict(zip(self.simulator.parameters, numbers, strict=False)).get(inertia_name)
+        inertia = self._stated_inertia(numbers)
         stiff = quick = 0.0
         for x, v, u in self._places.tolist():
             here = f(x, v, u, p)
@@ -235,6 +283,21 @@ class SimulatorModel:
             quick = max(quick, abs(f(x, v + NUDGE, u, p) - here) / NUDGE)
         mass = abs(inertia) if inertia is not None else 1.0 / max(abs(gain), 1e-12)
         return Own(p, gain, mass, stiff, quick)
+
+    def _stated_inertia(self, numbers: tuple[float, ...]) -> float | None:
+        if self.simulator.stepped is not None:
+            return self.simulator.stepped.inertia(numbers)
+        name = self.simulator.coordinate.inertia
+        return dict(zip(self.simulator.parameters, numbers, strict=False)).get(name)
+
+    def _asked(self, numbers: tuple[float, ...]) -> Any:
+        """What the kernels take of the simulator at these values."""
+        if self.simulator.stepped is None:
+            return self.simulator.records[2](*numbers)
+        ask = self.simulator.stepped.ask(numbers)
+        if self._shape is None:
+            self._shape = Shape.of(ask, self._reach, self.kind)
+        return table_of(ask, self._reach, self._shape, self._held.clip)
 
     def _part(self, theta: FloatArray) -> tuple[tuple[Any, Pushes], float]:
         """What the kernel takes, and the inertia with what was added to it."""
@@ -254,15 +317,20 @@ class SimulatorModel:
         load = abs(own.gain) * share
         return (own.values, Pushes(extra, law, share, load, own.stiff, own.quick)), inertia
 
+    def _on_the_way(self, theta: FloatArray, name: str) -> float:
+        """A value of the way in, with the delay that the simulator has of its own."""
+        own = self._held.delay if name == "time_delay.delay" else 0.0
+        return self._values.of(theta, name) + own
+
     def _trajectory(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
     ) -> FloatArray:
         """Position and velocity of all windows, (N, 2)."""
-        nodes, values = self._path.nodes(record, 0, lambda name: self._values.of(theta, name))
+        nodes, values = self._path.nodes(record, 0, lambda name: self._on_the_way(theta, name))
         out = np.empty((len(windows.rows), 3))
         begun = np.column_stack([states, np.zeros(len(states))])
         part, inertia = self._part(theta)
-        given = (record.t, nodes, values, windows.first, windows.last, begun, NO_STOPS)
+        given = (record.t, nodes, values, windows.first, windows.last, begun, Stops(*self._held.stops, 0.0))
         if self._extra is None:
             self._kernels.run(*given, part, Course(0.0), out)
         else:
@@ -291,4 +359,19 @@ def _dead_note(name: str, simulator: Simulator, kind: str) -> str:
     return (
         f"{name} changes nothing in the simulated {', '.join(simulator.outputs)} of {kind}: its value never "
         f"reached the simulation. It is left at {simulator.parameters[name].start:g} and not estimated."
+    )
+
+
+def _strays_note(kind: str, share: float) -> str:
+    return (
+        f"{kind}, stepping by itself from the same states, differs from what is fitted by {100 * share:.2g} "
+        "% of the motion: a long time step of its own, soft dry friction, contacts or stops. `labhil patch` "
+        "runs the file itself."
+    )
+
+
+def _same_note(name: str, simulator: Simulator) -> str:
+    return (
+        f"{name} is left at {simulator.parameters[name].start:g} as in the file: the outputs change with it "
+        "just as with the other parameters. State those under [known] to have it estimated."
     )

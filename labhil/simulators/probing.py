@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 POINTS = (0.0, 0.1, -0.2)
 """States at which f is called, of each in turn, in their own units."""
 
-SAME = 1e-9
+SAME, SAME_OF_STEPS = 1e-9, 1e-3
+ROUNDED = 1e-6
+"""Share of an acceleration by which that of a step function may change through rounding."""
+
 MOVED = 1e-3
 """Share of itself by which a parameter is moved to see whether anything changes."""
 
@@ -24,7 +27,7 @@ NOTHING = 1e-12
 """Change of the outputs, as a share of their size, that counts as none."""
 
 
-def tried(simulator: Simulator) -> None:
+def tried(simulator: Simulator, same: float = SAME) -> None:
     """Call f at a few states; UsageError tells what was expected of it and what was found."""
     values = [quantity.start for quantity in simulator.parameters.values()] or [0.0]
     for x in POINTS:
@@ -36,19 +39,16 @@ def tried(simulator: Simulator) -> None:
                 _refuse(simulator, f"the same rates for the same state, found {first} and then {again}")
             if _rates(simulator, 7.0, state, u, values) != first:
                 _refuse(simulator, "rates that do not depend on t (give such a course as an input)")
-            if abs(first[0] - v) > SAME * max(abs(v), 1.0):
+            if abs(first[0] - v) > same * max(abs(v), 1.0):
                 position, velocity = simulator.states
                 _refuse(simulator, f"the rate of {position} to be {velocity} = {v:g}, found {first[0]:g}")
 
 
-def is_damped(simulator: Simulator) -> bool:
-    """Whether its acceleration changes with the velocity anywhere."""
+def is_damped(simulator: Simulator, same: float = 0.0) -> bool:
+    """Whether its acceleration changes with the velocity anywhere, by more than a share ``same`` of it."""
     values = [quantity.start for quantity in simulator.parameters.values()] or [0.0]
-    return any(
-        _rates(simulator, 0.0, (x, v), 0.5, values)[1] != _rates(simulator, 0.0, (x, 0.0), 0.5, values)[1]
-        for x in POINTS
-        for v in POINTS
-    )
+    found = np.array([[_rates(simulator, 0.0, (x, v), 0.5, values)[1] for v in POINTS] for x in POINTS])
+    return bool(np.any(np.ptp(found, axis=1) > same * np.max(np.abs(found), initial=0.0)))
 
 
 def _rates(

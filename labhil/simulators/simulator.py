@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from labhil.errors import UsageError, suggestion
 from labhil.kinds import Known, RigKind, declare_kind
@@ -16,12 +16,19 @@ from labhil.physics.rigs import RigModel, declare_model
 from labhil.physics.terms import Parameter
 from labhil.rig import RigFile, parse_rig
 from labhil.signals import Direction, Hold, Signal
-from labhil.simulators.probing import is_damped, tried
+from labhil.simulators.probing import ROUNDED, SAME, SAME_OF_STEPS, is_damped, tried
+from labhil.simulators.python_step import PythonStep, StepFunction, rates_of
+
+if TYPE_CHECKING:
+    from labhil.simulators.stepped import Stepped
 
 RightHandSide = Callable[[float, Any, Any, Any], Sequence[float]]
 """``f(t, x, u, p)`` to the rates of the states; x, u and p have their values by name and by number."""
 
 DECADES = 1e3
+RATES, STEP = KINDS = ("rates", "step")
+"""What a function may give: the rates of the states, or the states a step later."""
+
 UNDAMPED = ("viscous_friction",)
 """What a simulator without damping of its own begins with."""
 
@@ -78,6 +85,9 @@ class Coordinate:
 class Simulator:
     """A simulator as its user describes it; made by :func:`simulator`. Wherever a rig may be named, it may.
 
+    One that only answers when it is called, a step or a MuJoCo file, is ``stepped``; ``nominal`` are values
+    of a file that stand for the user's simulation, as ``[nominal]`` of a rig file would.
+
     Example:
         >>> import labhil as lh
         >>> lag = lh.simulator(
@@ -100,6 +110,8 @@ class Simulator:
     position: str
     coordinate: Coordinate
     horizon: float | None
+    stepped: Stepped | None = None
+    nominal: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def kind(self) -> RigKind:
@@ -144,7 +156,7 @@ class Simulator:
 
 
 def simulator(
-    f: RightHandSide,
+    f: RightHandSide | StepFunction,
     *,
     states: Mapping[str, str],
     inputs: Mapping[str, str],
@@ -153,15 +165,18 @@ def simulator(
     coordinates: Mapping[str, Coordinate] | None = None,
     name: str = "",
     horizon: float | None = None,
+    kind: str = RATES,
 ) -> Simulator:
     """Describe a simulator by its right-hand side; the whole catalogue of effects is then there for it.
 
     The right-hand side is that of one coordinate: a position, its velocity and one input. It has to be
-    smooth: friction, stops of dead zones and the like are what the catalogue adds. numba compiles it.
+    smooth: friction, stops of dead zones and the like are what the catalogue adds. numba compiles it. A
+    function that makes a step may be any Python: its acceleration is tabulated.
 
     Args:
         f: ``f(t, x, u, p)`` to the rates of the states, in their order. ``x.angle``, ``u.torque`` and
-            ``p.inertia`` are the values by name; by number they are there too.
+            ``p.inertia`` are the values by name; by number they are there too. With ``kind="step"``
+            ``f(x, u, p, dt)`` to the states ``dt`` s later.
         states: Units by name: the position, then its velocity.
         inputs: Unit by name.
         parameters: Start, unit and bounds by name.
@@ -170,6 +185,7 @@ def simulator(
         name: What the rig is called; the name of ``f`` when absent.
         horizon: Length of the simulated windows by which it is scored, s; taken from the recording when
             absent.
+        kind: ``"rates"`` where ``f`` gives the rates of the states, ``"step"`` where it makes a step.
 
     Returns:
         The simulator: :func:`labhil.fit`, :func:`labhil.diagnose`, :func:`labhil.model` and
@@ -211,22 +227,37 @@ def simulator(
             f"{', '.join(f'{n!r} with {c.velocity!r}' for n, c in given.items())}"
         )
     _check_coordinate(called, given[position], inputs, quantities)
+    if kind not in KINDS:
+        raise UsageError(f"simulator {called!r}: kind: expected {' or '.join(KINDS)}, found {kind!r}")
     made = Simulator(
-        f, called, dict(states), dict(inputs), measured, quantities, position, given[position], horizon
-    )
-    tried(made)
-    _declare(made, () if is_damped(made) else UNDAMPED)
+        f if kind == RATES else _rates_of_step(f),
+        called, dict(states), dict(inputs), measured, quantities, position, given[position], horizon,
+    )  # fmt: skip
+    if kind == STEP:
+        made = replace(made, stepped=PythonStep(f, made.records))
+    tried(made, SAME if kind == RATES else SAME_OF_STEPS)
+    declare(made, () if is_damped(made, 0.0 if kind == RATES else ROUNDED) else UNDAMPED)
     return made
 
 
-def _declare(made: Simulator, baseline: tuple[str, ...]) -> None:
+def _rates_of_step(step: StepFunction) -> RightHandSide:
+    """The rates of a function that makes steps, as it is tried out."""
+
+    def rates(t: float, x: Any, u: Any, p: Any) -> Sequence[float]:
+        return rates_of(step, x, u, p)
+
+    return rates
+
+
+def declare(made: Simulator, baseline: tuple[str, ...]) -> None:
+    """Make a simulator's kind and model known in this process, with the terms that it begins with."""
     from labhil.simulators.model import SimulatorModel
 
     def model(rig: RigFile, record: Any = None) -> Any:
         return SimulatorModel(made, rig, record)
 
     declare_kind(made.kind)
-    declare_model(made.name, RigModel(model, baseline, (*baseline, "coulomb_friction")))
+    declare_model(made.name, RigModel(model, baseline, tuple(dict.fromkeys((*baseline, "coulomb_friction")))))
 
 
 def _measured(

@@ -41,6 +41,7 @@ NAMES = [
     "fit",
     "load",
     "model",
+    "mujoco_simulator",
     "read",
     "recording",
     "run",

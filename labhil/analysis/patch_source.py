@@ -1,0 +1,88 @@
+"""What a patch is made from: the values, the promise and the recordings of a saved diagnosis or fit."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from labhil.errors import ModelFileError, UsageError
+
+DIAGNOSIS, FIT = "labhil.diagnosis/1", "labhil.fit/1"
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """Values by name, the error that is promised on held-out data and its horizon (s), the recordings."""
+
+    values: Mapping[str, float]
+    promised: float
+    horizon: float
+    search: tuple[Path, ...]
+    test: tuple[Path, ...]
+
+
+def read_found(path: Path) -> Found:
+    """Read the JSON of a diagnosis or a fit.
+
+    Raises:
+        ModelFileError: It is none, or has nothing that a file could be given.
+        UsageError: A recording is not there, or is another one than it was.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ModelFileError(f"{path}: cannot be read as JSON: {error}") from error
+    schema = data.get("schema") if isinstance(data, dict) else None
+    if schema not in (DIAGNOSIS, FIT):
+        raise ModelFileError(f"{path}: schema: expected {DIAGNOSIS} or {FIT}, found {schema!r}")
+    if data.get("curve"):
+        raise ModelFileError(
+            f"{path}: curve: expected effects that have names, found a force as a curve; a file cannot hold "
+            "that: diagnose again with what you know of it among the terms"
+        )
+    try:
+        return _found(data, path)
+    except (KeyError, TypeError, ValueError) as error:
+        raise ModelFileError(
+            f"{path}: expected values and an error on held-out data, found none ({error!r})"
+        ) from error
+
+
+def _found(data: Mapping[str, Any], path: Path) -> Found:
+    if data["schema"] == DIAGNOSIS:
+        rows, scored = data["final"]["parameters"], data["improvement"]
+        promised = scored["rmse_after"]
+    else:
+        rows, scored = data["parameters"], data["test"]
+        promised = scored["rmse"]
+    tests = [row for row in data["recordings"] if row["role"] == "test"]
+    others = [row for row in data["recordings"] if row["role"] != "test"]
+    return Found(
+        {row["name"]: float(row["value"]) for row in rows},
+        float(promised),
+        float(scored["horizon"]),
+        _recordings(path, others),
+        _recordings(path, tests),
+    )
+
+
+def _recordings(path: Path, rows: Sequence[Mapping[str, Any]]) -> tuple[Path, ...]:
+    """Paths of recordings, as they are stated or beside the result."""
+    found = []
+    for row in rows:
+        stated = Path(row["path"])
+        places = (stated, path.parent / stated, path.parent / stated.name)
+        there = next((place for place in places if place.is_file()), None)
+        if there is None:
+            raise UsageError(
+                f"{path}: names the recording {stated}, which is not there; the repaired file is run on it: "
+                "put it beside the result"
+            )
+        if hashlib.sha256(there.read_bytes()).hexdigest() != row["sha256"]:
+            raise UsageError(f"{there}: expected the recording that {path} was made from, found another")
+        found.append(there)
+    return tuple(found)

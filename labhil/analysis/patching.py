@@ -1,0 +1,266 @@
+"""A repaired MuJoCo file from a diagnosis or a fit: changed, loaded, and run on the held-out data."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from labhil.analysis.material import Material, load_material
+from labhil.analysis.patch_source import Found, read_found
+from labhil.errors import UsageError
+from labhil.identify.score import Score, score
+from labhil.identify.windows import noise_of
+from labhil.physics.model import Model, index_of, start_values
+from labhil.python_file import object_of
+from labhil.rig import ModelSection, RigFile, default_rig, load_rig
+from labhil.simulators.companion import Left, companion, sorted_out
+from labhil.simulators.mjcf import describe
+from labhil.simulators.mjcf_file import Described
+from labhil.simulators.patches import Patched, patched, shorten_step, stiffen_friction
+from labhil.simulators.rolled_out import RolledOutModel
+from labhil.simulators.xml_text import Change, XmlText
+from labhil.whole import whole
+
+KEPT = 1.05
+"""Times the diagnosed model's error that the repaired file may make on the same held-out data."""
+
+OTHERS = 1.25
+"""Times the promised error beyond which file and data are not those that the diagnosis was made of."""
+
+FINER = (2, 4, 8)
+"""Parts of the file's time step that are tried where its own is too long."""
+
+DRY = ("coulomb_friction", "static_friction", "position_dependent_friction", "load_dependent_friction")
+
+
+@dataclass(frozen=True, slots=True)
+class Attempt:
+    """A repaired file that was tried: what was done beside the values, its error, that over the model's."""
+
+    beside: str
+    rmse: float
+    ratio: float
+
+
+@dataclass(frozen=True, slots=True)
+class Patch:
+    """A repaired file, what was changed, and how it does on the held-out data.
+
+    ``promised`` is the error that the result states, ``model`` that of the diagnosed model on the windows on
+    which the file was run, ``before`` that of the file as it was; all in ``unit``.
+    """
+
+    path: Path
+    companion: Path | None
+    changes: tuple[Change, ...]
+    left: tuple[str, ...]
+    diff: str
+    promised: float
+    model: float
+    before: float
+    attempts: tuple[Attempt, ...]
+    unit: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """The whole result as plain data (``labhil.patch/1``)."""
+        return {
+            "schema": "labhil.patch/1",
+            "path": str(self.path),
+            "companion": None if self.companion is None else str(self.companion),
+            "changes": [asdict(change) for change in self.changes],
+            "left": list(self.left),
+            "rmse_before": self.before,
+            "rmse_promised": self.promised,
+            "rmse_model": self.model,
+            "rmse_after": self.attempts[-1].rmse,
+            "ratio": self.attempts[-1].ratio,
+            "unit": self.unit,
+            "attempts": [asdict(attempt) for attempt in self.attempts],
+            "diff": self.diff,
+        }
+
+
+def patch(
+    result: Path,
+    into: Path,
+    out: Path,
+    rig_file: Path | None = None,
+    *,
+    holdout: float = 0.3,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Patch:
+    """Write a repaired copy of a MuJoCo file, if it keeps what a diagnosis promised.
+
+    Args:
+        result: JSON of a diagnosis or a fit on that file.
+        into: The file.
+        out: The new file; nothing may be there.
+        rig_file: The rig file of the diagnosis, where it had one.
+        holdout: The share that was held out.
+        progress: Is called with a text about each stage.
+
+    Returns:
+        The patch that was written.
+
+    Raises:
+        UsageError: Something is there already, the files do not belong together, or the repaired file does
+            not keep the promise.
+    """
+    code = out.with_name(f"{out.stem}_effects.py")
+    for path in (out, code):
+        if path.exists():
+            raise UsageError(f"{path}: expected a new file, found one there; nothing is overwritten")
+    found, bench = read_found(result), Bench.of(into, rig_file)
+    material = load_material(found.search, bench.rig, found.test or None, holdout)
+    values = {**_known(bench.rig), **found.values}
+    progress("scoring the diagnosed model on the held-out data")
+    model = _error(material.model, material, found.values, found.horizon)
+    if model.rmse > OTHERS * found.promised:
+        raise UsageError(
+            f"{result}: promises an error of {found.promised:.4g} on held-out data, and its values in {into} "
+            f"make one of {model.rmse:.4g}: was it made with another file, --rig or --holdout?"
+        )
+    before = bench.run(bench.described, material, {}, found.horizon)
+    attempts: list[Attempt] = []
+    for beside, candidate in _candidates(bench.described, into, values):
+        progress(f"running the repaired file on the held-out data{beside and ', ' + beside}")
+        left = sorted_out(candidate.left)
+        text = companion(left, out.name, bench.signal, bench.at_rest(candidate))
+        rmse = _tried(bench, candidate, text, out, material, found.horizon)
+        attempts.append(Attempt(beside, rmse, rmse / model.rmse))
+        if attempts[-1].ratio <= KEPT and not left.unknown:
+            written = _write(candidate.text, text if candidate.left else "", out, code)
+            return Patch(
+                out, code if candidate.left else None, tuple(candidate.text.changes),
+                tuple(candidate.left), written, found.promised, model.rmse, before, tuple(attempts),
+                model.channels[0].unit if len(model.channels) == 1 else "noise floors",
+            )  # fmt: skip
+    raise UsageError(_refusal(into, attempts, model.rmse, left))
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A file as it was read, with what the rig file says."""
+
+    described: Described
+    rig: RigFile
+    section: ModelSection | None
+
+    @classmethod
+    def of(cls, into: Path, rig_file: Path | None) -> Bench:
+        """Read a file by the names that a rig file gives, or by its own."""
+        rig = None if rig_file is None else load_rig(rig_file)
+        section = None if rig is None else rig.model
+        described = _described(into, section, "" if rig is None else rig.kind.name)
+        return cls(described, rig or default_rig(described.simulator.name), section)
+
+    @property
+    def signal(self) -> str:
+        """Name of the recorded input."""
+        return next(iter(self.described.simulator.inputs))
+
+    def at_rest(self, candidate: Patched) -> float:
+        """Velocity over which dry friction of a companion sets in: what one step can settle."""
+        mechanism, left = self.described.mechanism, candidate.left
+        inertia = mechanism.inertia([value.start for value in mechanism.values])
+        level = sum(abs(number) for name, number in left.items() if name.startswith(DRY))
+        return max(2.0 * mechanism.timestep / candidate.parts * level / inertia, 1e-6)
+
+    def run(
+        self, described: Described, material: Material, values: Mapping[str, float], horizon: float
+    ) -> float:
+        """Error of a file as it stands, stepped by MuJoCo itself; ``values`` are effects beside it."""
+        bare = default_rig(described.simulator.name)
+        model = RolledOutModel(described.simulator, bare, material.judge)
+        return _error(model, material, values, horizon).rmse
+
+
+def _described(file: Path, section: ModelSection | None, name: str) -> Described:
+    inputs, outputs = (None, None) if section is None else (section.inputs, section.outputs)
+    return describe(file, inputs, outputs, name)
+
+
+def _known(rig: RigFile) -> dict[str, float]:
+    return {name: value for name in rig.kind.known if (value := rig.known_number(name)) is not None}
+
+
+def _error(model: Model, material: Material, values: Mapping[str, float], horizon: float) -> Score:
+    """The score of a model with these values on the held-out data."""
+    theta, index = start_values(model.parameters), index_of(model.parameters)
+    for name, value in values.items():
+        if name in index:
+            theta[index[name]] = value
+    return score(model, theta, material.judge, noise_of(material.judge), horizon)
+
+
+def _candidates(
+    described: Described, into: Path, values: Mapping[str, float]
+) -> Iterator[tuple[str, Patched]]:
+    """The file with the values; then, for what MuJoCo's own steps leave, with firmer friction and finer."""
+    plain = patched(described, XmlText.read(into), values)
+    yield "", plain
+    rubs = any(change.attribute == "frictionloss" for change in plain.text.changes)
+    for parts in (1, *FINER) if rubs else FINER:
+        candidate = patched(described, XmlText.read(into), values)
+        if rubs:
+            stiffen_friction(described, candidate.text, parts)
+        if parts > 1:
+            shorten_step(described, candidate.text, parts)
+            candidate = replace(candidate, parts=parts)
+        beside = ["firm dry friction"] * rubs + [f"steps of 1/{parts}"] * (parts > 1)
+        yield " and ".join(beside), candidate
+
+
+def _tried(
+    bench: Bench, candidate: Patched, text: str, out: Path, material: Material, horizon: float
+) -> float:
+    """Error of a candidate that is loaded from where it shall stand, under a name of its own."""
+    draft, code = out.with_name(f"{out.stem}.part{out.suffix}"), out.with_name(f"{out.stem}_part.py")
+    try:
+        draft.write_bytes(candidate.text.changed())
+        described = _described(draft, bench.section, bench.described.simulator.name)
+        if sorted_out(candidate.left).forces:
+            code.write_text(text, encoding="utf-8")
+            push: Any = object_of(f"{code.name}:force", code.parent)
+            described.mechanism.push = push
+        return bench.run(described, material, candidate.left, horizon)
+    except OSError as error:
+        raise UsageError(f"{out}: cannot be written: {error.strerror}") from error
+    finally:
+        for path in (draft, code):
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
+
+
+def _write(text: XmlText, beside: str, out: Path, code: Path) -> str:
+    """Write the file, and the one beside it; gives the difference of both to what was there."""
+    with whole(out) as draft:
+        draft.write_bytes(text.changed())
+    if beside:
+        with whole(code) as draft:
+            draft.write_text(beside, encoding="utf-8")
+    before, after = (
+        content.decode("utf-8", "replace").splitlines(keepends=True)
+        for content in (text.content, text.changed())
+    )
+    return "".join(difflib.unified_diff(before, after, str(text.path), str(out), n=1))
+
+
+def _refusal(into: Path, attempts: list[Attempt], model: float, left: Left) -> str:
+    if left.unknown:
+        return (
+            f"{into}: no way is known to write {', '.join(left.unknown)} of this size into a file (an "
+            "armature cannot be negative: correct the inertia of the body); nothing is written"
+        )
+    tried = "; ".join(f"{a.beside or 'as it is'}: {a.rmse:.4g} ({a.ratio:.2f} times)" for a in attempts)
+    return (
+        f"{into}: expected the repaired file to make an error of {model:.4g} on held-out data, or up to "
+        f"{KEPT:g} times that, found {tried}; nothing is written"
+    )
+
+
+__all__ = ["Attempt", "Found", "Patch", "patch"]

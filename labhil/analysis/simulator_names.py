@@ -1,0 +1,70 @@
+"""Whether a recording has the signals by which a MuJoCo file is known, and what to write where not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from difflib import SequenceMatcher
+
+from labhil.errors import RecordingError
+from labhil.recording.reader import Recording
+from labhil.rig import RigFile
+from labhil.signals import Direction
+from labhil.simulators.mjcf_file import Names, load_model, names_of
+from labhil.terminal import printable_name
+from labhil.toml_text import toml_value
+
+
+def refuse_other_names(recording: Recording, rig: RigFile) -> None:
+    """Raise RecordingError where the signals of a MuJoCo file are not in one stream, with a proposal."""
+    section = rig.model
+    if section is None or section.mujoco is None:
+        return
+    kind = rig.kind
+    needed = {*kind.driven_by[0], *(signal.name for signal in kind.outputs)}
+    if any(needed <= set(data.stream.names()) for data in recording.streams):
+        return
+    has = names_of(load_model(rig.path.parent / section.mujoco))
+    signals = [signal for data in recording.streams for signal in data.stream.signals if signal.width == 1]
+    inputs = [signal.name for signal in signals if signal.direction is Direction.INPUT]
+    outputs = [signal.name for signal in signals if signal.direction is Direction.OUTPUT]
+    found = ", ".join(printable_name(signal.name) for signal in signals) or "none"
+    raise RecordingError(
+        f"{recording.path}: expected the signals {', '.join(sorted(needed))} of {section.mujoco}, found "
+        f"{found}; the file has {has.listed()}.{proposal(section.mujoco, has, inputs, outputs)}"
+    )
+
+
+def proposal(file: str, has: Names, inputs: Sequence[str], outputs: Sequence[str]) -> str:
+    """A rig file that puts the most similar names together; empty where there is nothing to put together."""
+    measured = [name for name in has.sensors if name] or list(has.joints)
+    driven = _pairs(inputs, has.actuators or has.joints)
+    shown = _pairs(outputs, measured)
+    if not driven or not shown:
+        return ""
+    return (
+        " Perhaps, in a rig file (check that each is what it says):\n"
+        f"[model]\nmujoco = {toml_value(file)}\n"
+        f"inputs = {_table(driven)}\noutputs = {_table(shown)}"
+    )
+
+
+def _pairs(signals: Sequence[str], names: Sequence[str]) -> dict[str, str]:
+    """Signals with names, the most similar first, each once."""
+    likeness = sorted(
+        ((_alike(signal, name), -i, -j) for i, signal in enumerate(signals) for j, name in enumerate(names)),
+        reverse=True,
+    )
+    found: dict[str, str] = {}
+    for _, i, j in likeness:
+        signal, name = signals[-i], names[-j]
+        if signal not in found and name not in found.values():
+            found[signal] = name
+    return found
+
+
+def _alike(one: str, other: str) -> float:
+    return SequenceMatcher(None, one.lower(), other.lower()).ratio()
+
+
+def _table(pairs: dict[str, str]) -> str:
+    return "{ " + ", ".join(f"{signal} = {toml_value(name)}" for signal, name in pairs.items()) + " }"

@@ -1,0 +1,64 @@
+"""`labhil patch`: what a diagnosis found, put into the file of the simulator."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from labhil.commands.json_flag import JsonFlagCommand, JsonOption
+from labhil.console import deliver, refuse_unwritable
+from labhil.terminal import show, status
+
+if TYPE_CHECKING:
+    from labhil.analysis.patching import Patch
+
+
+def add_repair(app: typer.Typer) -> None:
+    """Register this command."""
+    app.command(
+        cls=JsonFlagCommand,
+        epilog="Example: labhil patch diagnosis.json --into arm.xml -o arm_fixed.xml --rig rig.toml",
+    )(patch)
+
+
+def patch(
+    result: Annotated[
+        Path, typer.Argument(metavar="RESULT.json", help="The JSON of a diagnosis or a fit of that file.")
+    ],
+    *,
+    into: Annotated[Path, typer.Option(help="The MuJoCo file that was diagnosed.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="The new file; nothing is overwritten.")],
+    rig: Annotated[Path | None, typer.Option(help="The rig file of the diagnosis, where it had one.")] = None,
+    holdout: Annotated[float, typer.Option(help="Share that the diagnosis held out at the end.")] = 0.3,
+    json_path: JsonOption = None,
+) -> None:
+    """Write a copy of a MuJoCo file with the values and effects that were found, and show the difference.
+
+    The new file is loaded and run on the held-out data, and is not written where its error is more than 1.05
+    times that of the diagnosed model. What the format cannot hold goes into a Python file beside it.
+    """
+    from labhil.analysis.patching import patch as repair
+    from labhil.extras import require_analysis
+
+    require_analysis("a patch")
+    refuse_unwritable(json_path)
+    with status() as say:
+        found = repair(result, into, out, rig, holdout=holdout, progress=say)
+    deliver(found.to_dict(), json_path, lambda: _show(found))
+
+
+def _show(found: Patch) -> None:
+    """The difference, why each value changed, and how the file does."""
+    lines = [found.diff.rstrip("\n")]
+    if found.companion is not None:
+        lines.append(f"{found.companion}: what the file cannot hold: {', '.join(found.left)}")
+    last = found.attempts[-1]
+    beside = f", with {last.beside}" if last.beside else ""
+    lines.append(
+        f"On held-out data, run by MuJoCo itself: RMSE {found.before:.4g} → {last.rmse:.4g} {found.unit}, "
+        f"{last.ratio:.3f} times the diagnosed model's {found.model:.4g}{beside}."
+    )
+    lines += [f"  {each.beside or 'values alone'}: {each.ratio:.3f} times" for each in found.attempts[:-1]]
+    show(*lines)

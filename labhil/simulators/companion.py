@@ -1,0 +1,191 @@
+"""Effects that a simulator's file format cannot hold, as a Python file with three functions and their laws.
+
+The file stands beside the repaired one: ``force`` is added at the joint in each step, ``Command`` turns the
+recorded input into what acts, ``Sensor`` the simulated output into what is measured. It needs nothing of
+labhil.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from string import Formatter
+from textwrap import wrap
+from typing import NamedTuple
+
+WIDTH = 100
+
+
+class Law(NamedTuple):
+    """How an effect is written: its equation for people, and lines of Python."""
+
+    equation: str
+    lines: tuple[str, ...]
+
+
+FORCES: Mapping[str, Law] = {
+    "constant_force": Law("F = F_0", ("F += {force}",)),
+    "spring_force": Law("F = -k x", ("F -= {stiffness} * x",)),
+    "spring_hardening": Law("F = -k3 x^3", ("F -= {coefficient} * x**3",)),
+    "cogging_torque": Law(
+        "F = -a sin(k x) - b cos(k x)",
+        ("F -= {sine} * math.sin({order} * x) + {cosine} * math.cos({order} * x)",),
+    ),
+    "viscous_friction": Law("F = -c v", ("F -= {coefficient} * v",)),
+    "quadratic_viscous_friction": Law("F = -c2 v |v|", ("F -= {coefficient} * v * abs(v)",)),
+    "cubic_viscous_friction": Law("F = -c3 v^3", ("F -= {coefficient} * v**3",)),
+    "friction_asymmetry": Law("F = -c_a |v|", ("F -= {coefficient} * abs(v)",)),
+    "coulomb_friction": Law("F = -F_c sgn v", ("F -= {level} * side",)),
+    "static_friction": Law(
+        "|F| <= F_c + F_st + F_hold at v = 0; the file's dry friction holds with all of it, and this gives "
+        "F_hold back once it moves",
+        ("F += {level} * (1.0 - math.exp(-abs(v) / (3.0 * AT_REST))) * moving",),
+    ),
+    "stribeck_friction": Law(
+        "F = -F_st exp(-|v| / v_s) sgn v; the file's dry friction holds with F_c + F_st, and this gives back "
+        "F_st (1 - exp(-|v| / v_s)) sgn v as it moves",
+        ("F += {level} * (1.0 - math.exp(-abs(v) / {velocity})) * moving",),
+    ),
+    "position_dependent_friction": Law("F = -s x sgn v", ("F -= {slope} * x * side",)),
+    "load_dependent_friction": Law("F = -mu |F_drive| sgn v", ("F -= {coefficient} * abs(drive) * side",)),
+}
+INPUTS: Mapping[str, Law] = {
+    "backlash": Law(
+        "play of full width gap: u_eff stays until the command has crossed it",
+        ("u = self.play = min(max(self.play, u - 0.5 * {gap}), u + 0.5 * {gap})",),
+    ),
+    "dead_zone": Law(
+        "u_eff = u - right above right, u + left below -left, else 0",
+        ("u = max(u - {right}, 0.0) + min(u + {left}, 0.0)",),
+    ),
+    "saturation": Law(
+        "u_eff = clip(u, +-1/s)", ("u = min(max(u, -1.0 / {inverse_limit}), 1.0 / {inverse_limit})",)
+    ),
+    "rate_limit": Law(
+        "|du_eff/dt| <= 1/r",
+        ("most = dt / {inverse_rate}", "u = self.last = min(max(u, self.last - most), self.last + most)"),
+    ),
+    "actuator_lag": Law(
+        "T du_eff/dt + u_eff = u",
+        ("self.lagged += (u - self.lagged) * (1.0 - math.exp(-dt / {time_constant}))", "u = self.lagged"),
+    ),
+    "time_delay": Law(
+        "u_eff(t) = u(t - T_d)",
+        ("self.past.append(u)", "u = self.past.popleft() if len(self.past) * dt > {delay} else self.past[0]"),
+    ),
+}
+SENSORS: Mapping[str, Law] = {
+    "sensor_nonlinearity": Law("y = x + c x^3", ("y = y + {cubic} * y**3",)),
+    "sensor_gain": Law("y = (1 + g) x", ("y = (1.0 + {gain}) * y",)),
+    "sensor_offset": Law("y = x + b", ("y = y + {offset}",)),
+    "sensor_lag": Law(
+        "T dy/dt + y = x",
+        ("self.lagged += (y - self.lagged) * (1.0 - math.exp(-dt / {time_constant}))", "y = self.lagged"),
+    ),
+}
+
+
+class Left(NamedTuple):
+    """Effects that are written into a companion, by where they act, each with its numbers."""
+
+    forces: Mapping[str, Mapping[str, float]]
+    inputs: Mapping[str, Mapping[str, float]]
+    sensors: Mapping[str, Mapping[str, float]]
+    unknown: tuple[str, ...]
+
+
+def sorted_out(values: Mapping[str, float]) -> Left:
+    """Sort values of effects by where they act, each kind in the order in which it is passed."""
+    terms: dict[str, dict[str, float]] = {}
+    for name, value in values.items():
+        term, _, part = name.partition(".")
+        terms.setdefault(term, {})[part] = value
+    forces, inputs, sensors = (
+        {t: terms[t] for t in laws if t in terms} for laws in (FORCES, INPUTS, SENSORS)
+    )
+    return Left(
+        forces, inputs, sensors, tuple(sorted(terms.keys() - forces.keys() - inputs.keys() - sensors.keys()))
+    )
+
+
+def companion(left: Left, file: str, signal: str, at_rest: float) -> str:
+    """Write the Python file.
+
+    Args:
+        left: What it has to hold.
+        file: The repaired file that it belongs to.
+        signal: What its input is called.
+        at_rest: Velocity below which dry friction counts as holding, SI.
+
+    Returns:
+        The text.
+    """
+    uses = [
+        "data.qfrc_applied[0] = force(data.qpos[0], data.qvel[0])" if left.forces else "",
+        f"data.ctrl[...] = command({signal}, dt), with command = Command()" if left.inputs else "",
+        "measured = sensor(data.qpos[0], dt), with sensor = Sensor()" if left.sensors else "",
+    ]
+    blocks = [
+        _force(left.forces, at_rest) if left.forces else [],
+        _stage("Command", f"The input {signal} as it acts.", "u", left.inputs, INPUTS) if left.inputs else [],
+        _stage("Sensor", "The output as it is measured.", "y", left.sensors, SENSORS) if left.sensors else [],
+    ]
+    parts = [
+        f'"""What {file} cannot hold of the physics that was found; made by `labhil patch`. SI units.',
+        "",
+        "In each step of the simulation:",
+        "",
+        *(f"    {use}" for use in uses if use),
+        '"""',
+        "",
+        "import math",
+        *(["from collections import deque"] if left.inputs or left.sensors else []),
+    ]
+    for block in blocks:
+        parts += ["", "", *block] if block else []
+    return "\n".join(parts) + "\n"
+
+
+def _force(forces: Mapping[str, Mapping[str, float]], at_rest: float) -> list[str]:
+    lines = [
+        f"AT_REST = {at_rest:.6g}  # velocity below which dry friction counts as holding",
+        "",
+        "",
+        "def force(x, v, drive=0.0):",
+        '    """The force or torque at the joint beside the file\'s own; drive is that of the actuator."""',
+        "    F, side, moving = 0.0, math.tanh(v / AT_REST), math.copysign(1.0, v)",
+    ]
+    return [*lines, *_written(forces, FORCES, "    "), "    return F"]
+
+
+def _stage(
+    name: str, doc: str, of: str, effects: Mapping[str, Mapping[str, float]], laws: Mapping[str, Law]
+) -> list[str]:
+    return [
+        f"class {name}:",
+        f'    """{doc}"""',
+        "",
+        f"    def __init__(self, {of}=0.0):",
+        f"        self.play = self.last = self.lagged = {of}",
+        "        self.past = deque()",
+        "",
+        f"    def __call__(self, {of}, dt):",
+        '        """The next value, dt s after the one before."""',
+        *_written(effects, laws, "        "),
+        f"        return {of}",
+    ]
+
+
+def _written(effects: Mapping[str, Mapping[str, float]], laws: Mapping[str, Law], indent: str) -> list[str]:
+    lines = []
+    for term, numbers in effects.items():
+        parts = {part: f"{value:.6g}" if value >= 0 else f"({value:.6g})" for part, value in numbers.items()}
+        law = laws[term]
+        names = [name for line in law.lines for name in _names(line)]
+        filled = {name: parts.get(name, "0.0") for name in names}
+        lines += [f"{indent}# {text}" for text in wrap(f"{term}: {law.equation}", WIDTH)]
+        lines += [indent + line.format(**filled) for line in law.lines]
+    return lines
+
+
+def _names(line: str) -> list[str]:
+    return [name for _, name, _, _ in Formatter().parse(line) if name]

@@ -1,0 +1,256 @@
+"""A MuJoCo file (MJCF, or URDF as far as MuJoCo loads it) with one joint as a simulator."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from labhil.errors import UsageError, suggestion
+from labhil.extras import load_optional
+from labhil.simulators.mechanism import PURPOSE, RUBS, Field, Mechanism, Value, read_value
+from labhil.simulators.mjcf_file import Described, Names, load_model, names_of
+from labhil.simulators.rollouts import Driven
+from labhil.simulators.simulator import Coordinate, Quantity, Simulator, declare
+from labhil.simulators.stepped import Held
+
+VISCOUS = "viscous_friction"
+
+
+def mujoco_simulator(
+    path: str | Path,
+    *,
+    inputs: Mapping[str, str] | None = None,
+    outputs: Mapping[str, str] | None = None,
+    name: str = "",
+) -> Simulator:
+    """Take a MuJoCo file for a simulator; the whole catalogue of effects is then there for it.
+
+    The file has one hinge or slide joint. Its spring, armature, masses and the gains of its actuator are
+    parameters where they are not 0, and start at what the file says. Those that a recording cannot tell from
+    others stay at that. Its damping and dry friction are the effects viscous_friction and coulomb_friction,
+    with which a diagnosis begins.
+
+    Args:
+        path: The file: MJCF, or URDF as far as MuJoCo loads it.
+        inputs: Actuator by the name of the recorded signal, or the joint where a torque or force is recorded
+            that no actuator stands for. The only actuator by its own name when absent.
+        outputs: Joint or ``jointpos``/``jointvel`` sensor by the name of the recorded signal. The sensors by
+            their own names when absent, the joint by its own where there are none.
+        name: What the rig is called; the file's model name when absent.
+
+    Returns:
+        The simulator: :func:`labhil.fit`, :func:`labhil.diagnose` and others take it for a rig.
+
+    Raises:
+        UsageError: What was expected of the file or of the names, and what the file has.
+        MissingExtraError: The package ``mujoco`` is not installed.
+
+    Example:
+        >>> import labhil as lh
+        >>> arm = lh.mujoco_simulator("examples/pendulum.xml")
+        >>> arm.inputs, arm.outputs
+        ({'motor': 'N·m'}, {'angle': 'rad'})
+        >>> sorted(arm.parameters)
+        ['gear', 'rod_mass']
+    """
+    return describe(Path(path), inputs, outputs, name).simulator
+
+
+def describe(
+    file: Path,
+    inputs: Mapping[str, str] | None = None,
+    outputs: Mapping[str, str] | None = None,
+    name: str = "",
+) -> Described:
+    """Read a file and make a simulator of it; as :func:`mujoco_simulator`."""
+    model = load_model(file)
+    has = names_of(model)
+    joint = _only_joint(model, file, has)
+    hinge = model.jnt_type[joint] == int(load_optional("mujoco", PURPOSE).mjtJoint.mjJNT_HINGE)
+    length, force = ("rad", "N·m") if hinge else ("m", "N")
+    signal, driven = _input(model, file, has, joint, inputs)
+    position, velocity, measured = _outputs(model, file, has, joint, outputs)
+    values = tuple(_values(model, joint, driven, hinge))
+    states = {position: length, velocity: f"{length}/s"}
+    called = _identifier(name or _model_name(model, file))
+    frictions = {name: read_value(model, field, joint) for field, name in RUBS.items()}
+    terms = [name.partition(".")[0] for name, strength in frictions.items() if strength]
+    begins = tuple(dict.fromkeys((VISCOUS, *terms)))
+    mechanism = Mechanism(model, driven, values, _held(model, joint, driven, file))
+    made = Simulator(
+        _not_compiled,
+        called,
+        states,
+        {signal: force if _pushes_directly(model, driven) else "1"},
+        {n: u for n, u in states.items() if n in measured},
+        {value.name: Quantity(value.start, value.unit) for value in values},
+        position,
+        Coordinate(velocity, force=force),
+        None,
+        mechanism,
+        {value.name: value.start for value in values}
+        | {name: strength for name, strength in frictions.items() if name.partition(".")[0] in begins},
+    )
+    declare(made, begins)
+    return Described(file, model, made, mechanism, driven.actuator)
+
+
+def _not_compiled(t: float, x: Any, u: Any, p: Any) -> tuple[float, float]:
+    raise UsageError("a MuJoCo file has no right-hand side of its own")
+
+
+def _only_joint(model: Any, file: Path, has: Names) -> int:
+    mujoco = load_optional("mujoco", PURPOSE)
+    kinds = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+    if model.nv != 1 or model.njnt != 1 or model.jnt_type[0] not in kinds:
+        raise UsageError(
+            f"{file}: expected one hinge or slide joint and no other degree of freedom, found "
+            f"{model.nv} degrees of freedom ({has.listed()}); weld what is not measured, or take the joint's "
+            "part into a file of its own"
+        )
+    if model.na:
+        raise UsageError(
+            f"{file}: expected actuators without a state of their own, found {model.na} activation(s); let a "
+            "motor act and leave its lag to the effect actuator_lag"
+        )
+    return 0
+
+
+def _input(
+    model: Any, file: Path, has: Names, joint: int, stated: Mapping[str, str] | None
+) -> tuple[str, Driven]:
+    """Name of the recorded input, and what it drives."""
+    if stated is None:
+        if len(has.actuators) != 1:
+            raise UsageError(
+                f"{file}: expected one actuator, found {len(has.actuators)} ({has.listed()}); say which "
+                'one the recorded input drives: inputs = { torque = "NAME" }, a joint\'s name for a torque '
+                "or force at the joint"
+            )
+        stated = {has.actuators[0]: has.actuators[0]}
+    if len(stated) != 1:
+        raise UsageError(f"{file}: inputs: expected one signal, found {', '.join(stated) or 'none'}")
+    ((signal, of),) = stated.items()
+    if of in has.actuators:
+        return _identifier(signal), _driven(model, file, of, has.actuators.index(of), joint)
+    if of in has.joints:
+        return _identifier(signal), Driven(-1, 0)
+    known = (*has.actuators, *has.joints)
+    raise UsageError(
+        f"{file}: inputs: {signal}: no actuator or joint {of!r}{suggestion(of, known)}; {has.listed()}"
+    )
+
+
+def _driven(model: Any, file: Path, name: str, actuator: int, joint: int) -> Driven:
+    mujoco = load_optional("mujoco", PURPOSE)
+    kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+    if model.actuator_trntype[actuator] not in kinds or model.actuator_trnid[actuator][0] != joint:
+        raise UsageError(f"{file}: actuator {name}: expected one that acts on the joint, found another")
+    places = getattr(model, "actuator_ctrladr", np.arange(model.nu))
+    return Driven(actuator, int(places[actuator]))
+
+
+def _outputs(
+    model: Any, file: Path, has: Names, joint: int, stated: Mapping[str, str] | None
+) -> tuple[str, str, tuple[str, ...]]:
+    """Names of position and velocity, and which of the two are measured."""
+    velocities = int(load_optional("mujoco", PURPOSE).mjtSensor.mjSENS_JOINTVEL)
+    sensors = [s for s in has.sensors if s]
+    given = (
+        stated if stated is not None else {s: s for s in sensors} or {has.joints[joint]: has.joints[joint]}
+    )
+    found: dict[bool, str] = {}
+    for signal, of in given.items():
+        if of not in sensors and of != has.joints[joint]:
+            known = (*sensors, has.joints[joint])
+            raise UsageError(
+                f"{file}: outputs: {signal}: no joint or sensor of position or velocity "
+                f"{of!r}{suggestion(of, known)}; {has.listed()}"
+            )
+        is_rate = of in sensors and int(model.sensor_type[has.sensors.index(of)]) == velocities
+        found.setdefault(is_rate, _identifier(signal))
+    if not found:
+        raise UsageError(f"{file}: outputs: expected one signal at least, found none; {has.listed()}")
+    position = found.get(False, _identifier(has.joints[joint]))
+    velocity = found.get(True, f"{position}_velocity")
+    return position, velocity, tuple(found.values())
+
+
+def _values(model: Any, joint: int, driven: Driven, hinge: bool) -> Iterable[Value]:
+    """What of a file is a parameter: values that are not 0, and the rest of a spring."""
+    length, force = ("rad", "N·m") if hinge else ("m", "N")
+    units = {
+        Field.STIFFNESS: f"{force}/{length}",
+        Field.SPRINGREF: length,
+        Field.ARMATURE: "kg·m²" if hinge else "kg",
+        Field.GEAR: "1",
+        Field.KP: "1",
+        Field.KV: "1",
+    }
+
+    def value(field: Field, of: int, name: str = "") -> Iterable[Value]:
+        start = read_value(model, field, of)
+        sprung = field is Field.SPRINGREF and read_value(model, Field.STIFFNESS, of) != 0.0
+        if start != 0.0 or sprung:
+            yield Value(name or field.value, field, of, units.get(field, "kg"), start)
+
+    # in the order in which one is estimated before others that the outputs cannot tell from it
+    for field in (Field.STIFFNESS, Field.SPRINGREF):
+        yield from value(field, joint)
+    first = int(model.jnt_bodyid[joint])
+    for body in range(first, model.nbody):
+        if model.body_dofnum[body] or model.body_weldid[body] == first:
+            yield from value(Field.MASS, body, f"{_identifier(_body(model, body))}_mass")
+    yield from value(Field.ARMATURE, joint)
+    if driven.actuator >= 0:
+        yield from value(Field.GEAR, driven.actuator)
+        if model.actuator_biastype[driven.actuator]:
+            yield from value(Field.KP, driven.actuator)
+            yield from value(Field.KV, driven.actuator)
+
+
+def _held(model: Any, joint: int, driven: Driven, file: Path) -> Held:
+    """What is solved apart: friction, ends of the way, limits of the input and its delay."""
+    way = tuple(model.jnt_range[joint].tolist()) if model.jnt_limited[joint] else (-np.inf, np.inf)
+    k = driven.actuator
+    if k < 0:
+        return Held(way)
+    low, high = model.actuator_ctrlrange[k].tolist() if model.actuator_ctrllimited[k] else (-np.inf, np.inf)
+    if model.actuator_forcelimited[k]:
+        if model.actuator_biastype[k]:
+            raise UsageError(
+                f"{file}: expected a servo without forcerange, found one; its limit is no limit of the input"
+            )
+        gain = float(model.actuator_gainprm[k][0])
+        ends = sorted((model.actuator_forcerange[k] / gain).tolist())
+        low, high = max(low, ends[0]), min(high, ends[1])
+    delay = float(model.actuator_delay[k]) if hasattr(model, "actuator_delay") else 0.0
+    return Held(way, (low, high), delay)
+
+
+def _pushes_directly(model: Any, driven: Driven) -> bool:
+    """Whether the input is the force itself."""
+    if driven.actuator < 0:
+        return True
+    gain = float(model.actuator_gainprm[driven.actuator][0] * model.actuator_gear[driven.actuator][0])
+    return gain == 1.0 and not model.actuator_biastype[driven.actuator]
+
+
+def _body(model: Any, body: int) -> str:
+    mujoco = load_optional("mujoco", PURPOSE)
+    return mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, body) or f"body_{body}"
+
+
+def _model_name(model: Any, file: Path) -> str:
+    named = bytes(model.names).split(b"\0", 1)[0].decode("utf-8", "replace")
+    return file.stem if named in ("", "MuJoCo Model") else named
+
+
+def _identifier(text: str) -> str:
+    """A name of letters, digits and _ that is near to any text."""
+    found = re.sub(r"\W+", "_", text).strip("_") or "mechanism"
+    return found if not found[0].isdigit() else f"_{found}"

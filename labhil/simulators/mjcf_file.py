@@ -1,0 +1,128 @@
+"""A MuJoCo file as it was read: what it has by name, and what is needed to change it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from math import isnan
+from pathlib import Path
+from typing import Any
+
+from labhil.errors import UsageError
+from labhil.extras import load_optional
+from labhil.simulators.mechanism import PURPOSE, Mechanism
+from labhil.simulators.simulator import Simulator
+from labhil.simulators.xml_text import XmlText
+
+
+@dataclass(frozen=True, slots=True)
+class Names:
+    """What a file has, by name: joints with their kinds, actuators, sensors of joints."""
+
+    joints: tuple[str, ...]
+    actuators: tuple[str, ...]
+    sensors: tuple[str, ...]
+
+    def listed(self) -> str:
+        """For messages."""
+        return "; ".join(
+            f"{what}: {', '.join(names) or 'none'}"
+            for what, names in (
+                ("joints", self.joints),
+                ("actuators", self.actuators),
+                ("sensors of position or velocity", self.sensors),
+            )
+        )
+
+
+@dataclass(frozen=True)
+class Described:
+    """A file with one joint: the model, the simulator that was made of it, and its mechanism."""
+
+    path: Path
+    model: Any
+    simulator: Simulator
+    mechanism: Mechanism
+    driven: int
+
+    @property
+    def joint_name(self) -> str | None:
+        """Name of the joint; None where it has none."""
+        return self._name("mjOBJ_JOINT", 0)
+
+    @property
+    def actuator_name(self) -> str | None:
+        """Name of the actuator; None where it has none."""
+        return self._name("mjOBJ_ACTUATOR", self.driven)
+
+    def body_name(self, body: int) -> str | None:
+        """Name of a body; None where it has none."""
+        return self._name("mjOBJ_BODY", body)
+
+    @property
+    def gear(self) -> list[float]:
+        """All numbers of the actuator's gear."""
+        return [float(x) for x in self.model.actuator_gear[self.driven]]
+
+    @property
+    def has_polynomials(self) -> bool:
+        """Whether this MuJoCo's damping may have a square and a cube."""
+        return hasattr(self.model, "dof_dampingpoly")
+
+    @property
+    def has_delays(self) -> bool:
+        """Whether this MuJoCo's actuators may be late."""
+        return hasattr(self.model, "actuator_delay")
+
+    def in_degrees(self, text: XmlText) -> bool:
+        """Whether angles of the file are in degrees."""
+        hinge = int(load_optional("mujoco", PURPOSE).mjtJoint.mjJNT_HINGE)
+        stated = [
+            e.attributes["angle"] for e in text.elements if e.tag == "compiler" and "angle" in e.attributes
+        ]
+        return int(self.model.jnt_type[0]) == hinge and (stated[-1] if stated else "degree") == "degree"
+
+    def geom_masses(self, body: int) -> list[tuple[float | None, float]]:
+        """Mass, where one is stated, and density of each geom of a body, in the order of the file."""
+        geoms = self._spec.bodies[body].geoms
+        return [(None if isnan(float(g.mass)) else float(g.mass), float(g.density)) for g in geoms]
+
+    @cached_property
+    def _spec(self) -> Any:
+        return load_optional("mujoco", PURPOSE).MjSpec.from_file(str(self.path))
+
+    def _name(self, kind: str, number: int) -> str | None:
+        mujoco = load_optional("mujoco", PURPOSE)
+        return mujoco.mj_id2name(self.model, getattr(mujoco.mjtObj, kind), number) or None
+
+
+def load_model(file: Path) -> Any:
+    """Load a file with MuJoCo; UsageError with what MuJoCo says of it."""
+    mujoco = load_optional("mujoco", PURPOSE)
+    if not file.is_file():
+        raise UsageError(f"expected the MuJoCo file {file}, found none")
+    try:
+        return mujoco.MjModel.from_xml_path(str(file))
+    except ValueError as error:
+        said = " ".join(str(error).split())
+        raise UsageError(f"{file}: expected a file that MuJoCo loads (MJCF, URDF), found: {said}") from error
+
+
+def names_of(model: Any) -> Names:
+    """What a model has, by name; what has none is called by its number."""
+    mujoco = load_optional("mujoco", PURPOSE)
+    kinds, sensors = mujoco.mjtObj, mujoco.mjtSensor
+    wanted = (int(sensors.mjSENS_JOINTPOS), int(sensors.mjSENS_JOINTVEL))
+
+    def all_of(kind: Any, numbers: Iterable[int], what: str) -> tuple[str, ...]:
+        return tuple(mujoco.mj_id2name(model, kind, k) or f"{what}_{k}" for k in numbers)
+
+    return Names(
+        all_of(kinds.mjOBJ_JOINT, range(model.njnt), "joint"),
+        all_of(kinds.mjOBJ_ACTUATOR, range(model.nu), "actuator"),
+        tuple(
+            mujoco.mj_id2name(model, kinds.mjOBJ_SENSOR, k) or f"sensor_{k}" if kind in wanted else ""
+            for k, kind in enumerate(model.sensor_type)
+        ),
+    )

@@ -1,0 +1,70 @@
+"""A Python function that makes one step, as a simulator (satisfies ``simulators.stepped.Stepped``)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from labhil.physics.model import Record, Windows
+from labhil.signals import FloatArray
+from labhil.simulators.rollouts import means
+from labhil.simulators.stepped import Held, Nodes
+from labhil.simulators.tables import Ask
+
+StepFunction = Callable[[Any, Any, Any, float], Sequence[float]]
+"""``step(state, u, p, dt)`` to the state dt s later; values by name and by number."""
+
+SHORT = 1e-4
+"""Length of the steps (s) from which an acceleration is taken."""
+
+
+def rates_of(step: StepFunction, state: Any, u: Any, p: Any) -> tuple[float, float]:
+    """Rates of position and velocity, from a short step and one of twice its length (Richardson)."""
+    here = np.asarray(state, dtype=np.float64)
+    once, twice = (np.asarray(step(state, u, p, h), dtype=np.float64) for h in (SHORT, 2.0 * SHORT))
+    if once.shape != here.shape or twice.shape != here.shape:
+        return tuple(once.tolist())  # of a wrong number of states, which is said where it is tried out
+    found = 2.0 * (once - here) / SHORT - (twice - here) / (2.0 * SHORT)
+    return float(found[0]), float(found[1])
+
+
+class PythonStep:
+    """A user's step function with the names of what it takes."""
+
+    held = Held()
+
+    def __init__(self, step: StepFunction, records: tuple[Any, Any, Any]) -> None:
+        self._step, self._records = step, records
+
+    def ask(self, numbers: Sequence[float]) -> Ask:
+        """Its acceleration, from short steps."""
+        states, inputs, parameters = self._records
+        p = parameters(*numbers)
+
+        def accelerations(x: FloatArray, v: FloatArray, u: FloatArray) -> FloatArray:
+            points = zip(x.tolist(), v.tolist(), u.tolist(), strict=True)
+            return np.array([rates_of(self._step, states(*at), inputs(drive), p)[1] for *at, drive in points])
+
+        return accelerations
+
+    def inertia(self, numbers: Sequence[float]) -> float | None:
+        """Only its input is known to push."""
+        return None
+
+    def roll_out(
+        self, numbers: Sequence[float], record: Record, nodes: Nodes, windows: Windows, states: FloatArray
+    ) -> FloatArray:
+        """Position and velocity (N, 2), stepped from sample to sample under the mean of the input."""
+        names, inputs, parameters = self._records
+        p, out, row = parameters(*numbers), np.empty((len(windows.rows), 2)), 0
+        for w, (first, last) in enumerate(zip(windows.first, windows.last, strict=True)):
+            t, state = record.t[first:last], np.asarray(states[w], dtype=np.float64)
+            drives = means(nodes, t) if len(t) > 1 else np.empty(0)
+            out[row] = state
+            for k, (u, dt) in enumerate(zip(drives.tolist(), np.diff(t).tolist(), strict=True), 1):
+                state = np.asarray(self._step(names(*state.tolist()), inputs(u), p, dt), dtype=np.float64)
+                out[row + k] = state
+            row += len(t)
+        return out
