@@ -61,8 +61,7 @@ class Options:
         claim: odds (nats) that the best structure needs over the one without a term.
         relevance: what a term explains over what no term does, at least: mean squares beyond the noise. An
             effect that is smaller than what is missing beside it cannot be told from that.
-        few: terms beside the best structure's up to which one is refitted for what it promises where nothing
-            disturbs: from afar a linear response understates a term, but many of them stand in for anything.
+        few: terms more than those of the fit where responses were taken, up to which a structure is refitted.
         climbed: terms up to which the best structure's parts are looked at, too: of more of them the whole
             was reached by way of these.
     """
@@ -255,16 +254,22 @@ class StructureSearch:
     def _refit_promising(self, state: SearchState, evidence: EvidenceOf) -> None:
         """Refit the most promising structures that were not refitted yet.
 
-        Where nothing disturbs many terms stand in for anything: only a few more than the best has count.
+        From afar many terms together stand in for anything: only a few more than those of the fit that was
+        looked at count, but where responses are what the model says, as of inverse dynamics.
         """
-        best = state.most(evidence)
-        least = evidence(state.refitted[best]) - self.options.margin
-        most = len(best) + self.options.few
+        least = evidence(state.refitted[state.most(evidence)]) - self.options.margin
         new = [p for s, p in state.predicted.items() if s not in state.refitted and evidence(p) > least]
-        possible = [p for p in new if evidence is _with_disturbance or len(p.structure) <= most]
+        possible = [p for p in new if len(p.structure) <= self._most_terms(state)]
         waiting = sorted(possible, key=evidence, reverse=True)[: self.options.refits]
         for predicted in waiting:
             self._refit_predicted(state, predicted)
+
+    def _most_terms(self, state: SearchState) -> float:
+        """How many terms a structure may have to be refitted."""
+        if state.view is None or not self.data.model.state_names:
+            return np.inf
+        near = state.view.responses.fitted
+        return len(frozenset(near.terms) - frozenset(self.baseline)) + self.options.few
 
     def _refit_predicted(self, state: SearchState, predicted: Predicted) -> None:
         """Refit a structure from the fit where it was predicted, with the values that it has there."""
