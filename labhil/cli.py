@@ -18,6 +18,7 @@ from labhil.commands.files import add_files
 from labhil.commands.firmware import add_firmware
 from labhil.commands.machine import add_machine
 from labhil.commands.pages import link_pages
+from labhil.commands.replay import add_replay
 from labhil.commands.safety import add_safety
 from labhil.commands.serve import add_serve
 from labhil.commands.start import add_start
@@ -85,6 +86,7 @@ for add in (
     add_studies,
     add_benchmarks,
     add_tui,
+    add_replay,
     add_machine,
 ):
     add(app)

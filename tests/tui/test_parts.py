@@ -18,8 +18,8 @@ from labhil.campaign.studies.study import Task, free_name
 from labhil.signals import Batch, Direction, Signal, Stream
 from labhil.tui.ring import Ring, envelope, pieces
 from labhil.tui.shelf import Shelf, experiments, results
+from labhil.tui.stream_watch import StreamWatch
 from labhil.tui.ticks import labels, limits_of, round_step, ticks
-from labhil.tui.watch import StreamWatch
 
 STREAM = Stream("state", (Signal("x", "m", Direction.OUTPUT),), 100.0)
 

@@ -17,6 +17,7 @@ import pytest
 from textual.pilot import Pilot
 from textual.widgets import Input
 
+from labhil.bus.incoming import ReplayMessage
 from labhil.tui import lab as labs
 from labhil.tui.app import LabApp
 from labhil.tui.themes import DARK, LIGHT
@@ -57,6 +58,13 @@ async def release(pilot: Pilot[None], app: LabApp) -> None:
     await keys("1", "f12", "f9")(pilot, app)
 
 
+async def replayed(pilot: Pilot[None], app: LabApp) -> None:
+    app.lab.replay = ReplayMessage(  # type: ignore[attr-defined]
+        path="ball_beam_identify.mcap", position=23.4, duration=60.0, speed=2.0, paused=False, ended=False
+    )
+    await keys("2")(pilot, app)
+
+
 async def palette(pilot: Pilot[None], _app: LabApp) -> None:
     """With the first experiment's plan read: what the palette offers depends on it."""
     await pilot.press("3")
@@ -67,6 +75,7 @@ async def palette(pilot: Pilot[None], _app: LabApp) -> None:
 SHOWN: dict[str, Go] = {
     "devices": keys("1"),
     "live": keys("2"),
+    "replay": replayed,
     "experiment": running,
     "recordings": keys("4", "space", "down", "t"),
     "recording": keys("4", "enter"),
@@ -82,6 +91,7 @@ SHOWN: dict[str, Go] = {
 DOCUMENTED = {
     "devices-80x24": "devices",
     "live-160x50": "live",
+    "replay-80x24": "replay",
     "experiment-160x50": "experiment",
     "recordings-80x24": "recordings",
     "recording-160x50": "recording",
