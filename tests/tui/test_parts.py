@@ -102,7 +102,9 @@ def test_a_folder_lists_recordings_experiments_and_results(folder: Path) -> None
 
 
 def test_a_task_survives_the_way_to_its_process(tmp_path: Path) -> None:
-    task = Task("fit", (tmp_path / "a.mcap",), (tmp_path / "b.mcap",), tmp_path / "c.json")
+    task = Task(
+        "fit", (tmp_path / "a.mcap",), (tmp_path / "b.mcap",), tmp_path / "c.json", ("x",), "pso", 3.0
+    )
     assert Task.from_json(json.loads(json.dumps(task.to_json()))) == task
 
 

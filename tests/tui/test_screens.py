@@ -19,6 +19,7 @@ from textual.widgets import Input
 
 from labhil.bus.incoming import ReplayMessage
 from labhil.tui import lab as labs
+from labhil.tui.analysis import AnalysisDialog
 from labhil.tui.app import LabApp
 from labhil.tui.themes import DARK, LIGHT
 
@@ -65,6 +66,16 @@ async def replayed(pilot: Pilot[None], app: LabApp) -> None:
     await keys("2")(pilot, app)
 
 
+async def analysis(pilot: Pilot[None], app: LabApp) -> None:
+    """With the catalogue read, which takes a process of its own some seconds."""
+    await keys("4", "a")(pilot, app)
+    dialog = app.screen
+    assert isinstance(dialog, AnalysisDialog)
+    while dialog.catalogue is None:
+        await pilot.pause(SETTLED)
+    await keys("s", "s", "down", "down")(pilot, app)
+
+
 async def palette(pilot: Pilot[None], _app: LabApp) -> None:
     """With the first experiment's plan read: what the palette offers depends on it."""
     await pilot.press("3")
@@ -85,6 +96,7 @@ SHOWN: dict[str, Go] = {
     "stopped": stopped,
     "release": release,
     "verify": keys("4", "v"),
+    "analysis": analysis,
     "keys": keys("4", "question_mark"),
     "palette": palette,
 }
@@ -100,6 +112,7 @@ DOCUMENTED = {
     "stopped-80x24": "stopped",
     "release-80x24": "release",
     "verify-80x24": "verify",
+    "analysis-80x24": "analysis",
     "keys-80x24": "keys",
     "palette-80x24": "palette",
 }
