@@ -10,10 +10,10 @@ import numpy as np
 
 from labhil.cores import cores
 from labhil.diagnose.collapsed import given_way
-from labhil.diagnose.evidence import Evidence, best_heldout_gain
-from labhil.diagnose.found import Found, Step
-from labhil.diagnose.judge import ALPHA, Data
+from labhil.diagnose.found import Found
+from labhil.diagnose.judge import Data
 from labhil.diagnose.refit import on_windows, without
+from labhil.diagnose.structures.claims import Stage, borne_out, concluded, predicts_better
 from labhil.diagnose.structures.curves import CurveSearch
 from labhil.diagnose.structures.disturbance import noise_beside
 from labhil.diagnose.structures.enumerate import (
@@ -22,21 +22,16 @@ from labhil.diagnose.structures.enumerate import (
     Predicted,
     Structure,
     candidates,
-    closed,
 )
 from labhil.diagnose.structures.responses import responses
 from labhil.diagnose.structures.state import (
     Refitted,
     SearchState,
-    inclusion,
     least_relevance,
-    log_odds,
-    rivals_of,
 )  # fmt: skip
 from labhil.ending import EndedEarly, accept
 from labhil.identify.fitted import Fitted, fit_terms, with_only
 from labhil.identify.noise import MOST
-from labhil.identify.score import Score
 from labhil.identify.waves import starts_beside
 from labhil.identify.windows import noise_of
 from labhil.physics.extra_force import Yielding
@@ -79,30 +74,6 @@ class Options:
 OUTWEIGHED = np.sqrt(2.0)
 """Noise levels that a stage's best structure leaves from which what is missing outweighs the noise: longer
 windows would add up more of that, and show no more of what acts slowly."""
-
-LEADING = 3
-"""Structures of a stage with which the next one begins, at most, beside the baseline."""
-
-
-@dataclass(frozen=True, slots=True)
-class Stage:
-    """What a search visited on windows of one length."""
-
-    data: Data
-    state: SearchState
-
-    @property
-    def best(self) -> Fitted:
-        """The fit of the best structure."""
-        return self.state.refitted[self.state.best].fitted
-
-    @property
-    def leading(self) -> list[Fitted]:
-        """The baseline and the likeliest structures."""
-        by_evidence = sorted(self.state.refitted, key=lambda s: -self.state.refitted[s].log_evidence)
-        chosen = dict.fromkeys([frozenset[str](), *by_evidence[:LEADING]])
-        return [self.state.refitted[structure].fitted for structure in chosen]
-
 
 EvidenceOf = Callable[[Refitted | Predicted], float]
 
@@ -365,10 +336,10 @@ def search_structures(
     looks = len(candidates(data.model, baseline.terms))
     if not finished:
         return Found(baseline, baseline, (), (), 1.0, looks, complete=False)
-    found = replace(_concluded(finished[-1], options, looks), complete=complete)
+    found = replace(concluded(finished[-1], options.claim, looks), complete=complete)
     if found.missing and not predicts_better(*(data.judge(f.theta) for f in (found.baseline, found.final))):
         found = found.nothing
-    found = _borne_out(finished[-1], found)
+    found = borne_out(finished[-1], found)
     return _with_curve(data, found, finished[-1].data.window, correlation, progress) if complete else found
 
 
@@ -407,11 +378,6 @@ def _with_curve(
     return replace(found.ending(_unplaced(shorter, curve.beside), steps), curve=curve)
 
 
-def predicts_better(before: Sequence[Score], after: Sequence[Score]) -> bool:
-    """Whether held-out data bear out a step: errors fall along it on windows of some length."""
-    return best_heldout_gain(before, after)[1] < ALPHA
-
-
 def _unplaced(data: Data, beside: Fitted) -> Fitted:
     """The fit beside a curve, of the model that other results are of."""
     if len(beside.problem.model.state_names) == len(data.model.state_names):
@@ -420,62 +386,3 @@ def _unplaced(data: Data, beside: Fitted) -> Fitted:
         data.model, data.search, beside.terms, data.window, data.sigma, start=beside.theta, starts=[{}],
         held=data.held,
     )  # fmt: skip
-
-
-def _concluded(stage: Stage, options: Options, looks: int) -> Found:
-    """The best structure with its rivals; nothing where the data do not speak for it."""
-    state, model = stage.state, stage.data.model
-    base = state.refitted[frozenset()].fitted
-    best = state.best
-    claims = {term: log_odds(model, state, term) for term in best}
-    shares = inclusion(state)
-    steps = [_step(term, odds, shares[term]) for term, odds in claims.items() if odds > options.claim]
-    steps.sort(key=lambda s: s.evidence.delta_bic)
-    known = state.log_evidence()
-    p_value = float(np.exp(min(known[frozenset()] - known[best], 0.0)))
-    claimed = closed(model, (step.terms[0] for step in steps), frozenset(base.terms))
-    found = Found(base, _with_only(stage, claimed), tuple(steps), rivals_of(state, best), p_value, looks)
-    return found.ending(found.final, found.missing)
-
-
-def _with_only(stage: Stage, structure: Structure) -> Fitted:
-    """The best fit, without terms of which too little is known to claim them."""
-    state = stage.state
-    if structure in state.refitted:
-        return state.refitted[structure].fitted
-    data, near = stage.data, state.refitted[state.best].fitted
-    kept = [t for t in near.terms if t not in state.best or t in structure]
-    start = with_only(data.model, near.theta, kept)
-    return fit_terms(
-        data.model, data.search, kept, data.window, data.sigma, start=start, starts=[{}],
-        states=near.solution.point.states, held=data.held,
-    )  # fmt: skip
-
-
-def _step(term: str, odds: float, probability: float) -> Step:
-    """A claim as the searched data make it; held-out data are asked later."""
-    return Step((term,), Evidence(-2.0 * odds, 1.0, 0.0), float(np.exp(-odds)), True, probability)
-
-
-def _borne_out(stage: Stage, found: Found) -> Found:
-    """Only what held-out data bear out, too; without what they bear out least, the others are asked anew."""
-    baseline = frozenset(found.baseline.terms)
-    while found.missing:
-        steps = _validated(stage, found)
-        least = max(steps, key=lambda step: step.evidence.p_value)
-        if least.evidence.p_value < ALPHA:
-            return replace(found, missing=steps)
-        kept = frozenset(without(stage.data.model, found.final.terms, least.terms[0])) - baseline
-        found = found.ending(_with_only(stage, kept), tuple(s for s in steps if s.terms[0] in kept))
-    return found
-
-
-def _validated(stage: Stage, found: Found) -> tuple[Step, ...]:
-    """The steps with what held-out data gain by each: the final model against one without it, refitted."""
-    data, final, steps = stage.data, found.final, list[Step]()
-    for step in found.missing:
-        terms = without(data.model, final.terms, step.terms[0])
-        reduced = _with_only(stage, frozenset(terms) - frozenset(found.baseline.terms))
-        gain, p_value = best_heldout_gain(data.judge(reduced.theta), data.judge(final.theta))
-        steps.append(replace(step, evidence=Evidence(step.evidence.delta_bic, p_value, gain)))
-    return tuple(steps)

@@ -1,0 +1,104 @@
+"""What may be claimed of what a search visited: by odds on its data, borne out by held-out data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labhil.diagnose.evidence import Evidence, best_heldout_gain
+from labhil.diagnose.found import Found, Step
+from labhil.diagnose.judge import ALPHA, Data
+from labhil.diagnose.refit import without
+from labhil.diagnose.structures.enumerate import Structure, closed
+from labhil.diagnose.structures.state import SearchState, inclusion, log_odds, rivals_of
+from labhil.identify.fitted import Fitted, fit_terms, with_only
+from labhil.identify.score import Score
+
+LEADING = 3
+"""Structures of a stage with which the next one begins, at most, beside the baseline."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """What a search visited on windows of one length."""
+
+    data: Data
+    state: SearchState
+
+    @property
+    def best(self) -> Fitted:
+        """The fit of the best structure."""
+        return self.state.refitted[self.state.best].fitted
+
+    @property
+    def leading(self) -> list[Fitted]:
+        """The baseline and the likeliest structures."""
+        by_evidence = sorted(self.state.refitted, key=lambda s: -self.state.refitted[s].log_evidence)
+        chosen = dict.fromkeys([frozenset[str](), *by_evidence[:LEADING]])
+        return [self.state.refitted[structure].fitted for structure in chosen]
+
+
+def concluded(stage: Stage, claim: float, looks: int) -> Found:
+    """The best structure with its rivals; nothing where the data do not speak for it."""
+    state, model = stage.state, stage.data.model
+    base = state.refitted[frozenset()].fitted
+    best = state.best
+    claims = {term: log_odds(model, state, term) for term in best}
+    shares = inclusion(state)
+    steps = [_step(term, odds, shares[term]) for term, odds in claims.items() if odds > claim]
+    steps.sort(key=lambda s: s.evidence.delta_bic)
+    known = state.log_evidence()
+    p_value = float(np.exp(min(known[frozenset()] - known[best], 0.0)))
+    claimed = closed(model, (step.terms[0] for step in steps), frozenset(base.terms))
+    found = Found(base, _with_only(stage, claimed), tuple(steps), rivals_of(state, best), p_value, looks)
+    return found.ending(found.final, found.missing)
+
+
+def _with_only(stage: Stage, structure: Structure) -> Fitted:
+    """The best fit, without terms of which too little is known to claim them."""
+    state = stage.state
+    if structure in state.refitted:
+        return state.refitted[structure].fitted
+    data, near = stage.data, state.refitted[state.best].fitted
+    kept = [t for t in near.terms if t not in state.best or t in structure]
+    start = with_only(data.model, near.theta, kept)
+    return fit_terms(
+        data.model, data.search, kept, data.window, data.sigma, start=start, starts=[{}],
+        states=near.solution.point.states, held=data.held,
+    )  # fmt: skip
+
+
+def _step(term: str, odds: float, probability: float) -> Step:
+    """A claim as the searched data make it; held-out data are asked later."""
+    return Step((term,), Evidence(-2.0 * odds, 1.0, 0.0), float(np.exp(-odds)), True, probability)
+
+
+def borne_out(stage: Stage, found: Found) -> Found:
+    """Only what held-out data bear out, too; without what they bear out least, the others are asked anew."""
+    baseline = frozenset(found.baseline.terms)
+    while found.missing:
+        steps = _validated(stage, found)
+        least = max(steps, key=lambda step: step.evidence.p_value)
+        if least.evidence.p_value < ALPHA:
+            return replace(found, missing=steps)
+        kept = frozenset(without(stage.data.model, found.final.terms, least.terms[0])) - baseline
+        found = found.ending(_with_only(stage, kept), tuple(s for s in steps if s.terms[0] in kept))
+    return found
+
+
+def _validated(stage: Stage, found: Found) -> tuple[Step, ...]:
+    """The steps with what held-out data gain by each: the final model against one without it, refitted."""
+    data, final, steps = stage.data, found.final, list[Step]()
+    for step in found.missing:
+        terms = without(data.model, final.terms, step.terms[0])
+        reduced = _with_only(stage, frozenset(terms) - frozenset(found.baseline.terms))
+        gain, p_value = best_heldout_gain(data.judge(reduced.theta), data.judge(final.theta))
+        steps.append(replace(step, evidence=Evidence(step.evidence.delta_bic, p_value, gain)))
+    return tuple(steps)
+
+
+def predicts_better(before: Sequence[Score], after: Sequence[Score]) -> bool:
+    """Whether held-out data bear out a step: errors fall along it on windows of some length."""
+    return best_heldout_gain(before, after)[1] < ALPHA
