@@ -76,27 +76,44 @@ def _step(term: str, odds: float, probability: float) -> Step:
 
 
 def borne_out(stage: Stage, found: Found) -> Found:
-    """Only what held-out data bear out, too; without what they bear out least, the others are asked anew."""
+    """Only what held-out data bear out, too.
+
+    Without what they bear out least, the other doubtful ones are asked anew, and in the end all.
+    """
     baseline = frozenset(found.baseline.terms)
+    asked = _terms(found.missing)
     while found.missing:
-        steps = _validated(stage, found)
-        least = max(steps, key=lambda step: step.evidence.p_value)
-        if least.evidence.p_value < ALPHA:
-            return replace(found, missing=steps)
-        kept = frozenset(without(stage.data.model, found.final.terms, least.terms[0])) - baseline
-        found = found.ending(_with_only(stage, kept), tuple(s for s in steps if s.terms[0] in kept))
+        found = replace(found, missing=_validated(stage, found, asked))
+        doubtful = [step for step in found.missing if step.evidence.p_value >= ALPHA]
+        if doubtful:
+            least = max(doubtful, key=lambda step: step.evidence.p_value)
+            kept = frozenset(without(stage.data.model, found.final.terms, least.terms[0])) - baseline
+            steps = tuple(step for step in found.missing if step.terms[0] in kept)
+            found = found.ending(_with_only(stage, kept), steps)
+            asked = _terms(doubtful) & kept or _terms(found.missing)
+        elif asked == _terms(found.missing):
+            break
+        else:
+            asked = _terms(found.missing)
     return found
 
 
-def _validated(stage: Stage, found: Found) -> tuple[Step, ...]:
-    """The steps with what held-out data gain by each: the final model against one without it, refitted."""
-    data, final, steps = stage.data, found.final, list[Step]()
-    for step in found.missing:
+def _terms(steps: Sequence[Step]) -> Structure:
+    return frozenset(step.terms[0] for step in steps)
+
+
+def _validated(stage: Stage, found: Found, asked: Structure) -> tuple[Step, ...]:
+    """The steps, with what held-out data gain by each of ``asked``: against the final model without it."""
+    data, final = stage.data, found.final
+    after = data.judge(final.theta)
+
+    def validated(step: Step) -> Step:
         terms = without(data.model, final.terms, step.terms[0])
         reduced = _with_only(stage, frozenset(terms) - frozenset(found.baseline.terms))
-        gain, p_value = best_heldout_gain(data.judge(reduced.theta), data.judge(final.theta))
-        steps.append(replace(step, evidence=Evidence(step.evidence.delta_bic, p_value, gain)))
-    return tuple(steps)
+        gain, p_value = best_heldout_gain(data.judge(reduced.theta), after)
+        return replace(step, evidence=Evidence(step.evidence.delta_bic, p_value, gain))
+
+    return tuple(validated(step) if step.terms[0] in asked else step for step in found.missing)
 
 
 def predicts_better(before: Sequence[Score], after: Sequence[Score]) -> bool:
