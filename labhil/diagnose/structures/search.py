@@ -22,6 +22,7 @@ from labhil.diagnose.structures.enumerate import (
     Predicted,
     Structure,
     candidates,
+    relevance,
 )
 from labhil.diagnose.structures.responses import responses
 from labhil.diagnose.structures.state import (
@@ -56,6 +57,8 @@ class Options:
         claim: odds (nats) that the best structure needs over the one without a term.
         relevance: what a term explains over what no term does, at least: mean squares beyond the noise. An
             effect that is smaller than what is missing beside it cannot be told from that.
+        step: what a structure has to explain of what the one before it leaves, over what remains, to be gone
+            on from: of four effects that are missing alike one explains a third of what the others do.
         few: terms more than those of the fit where responses were taken, up to which a structure is refitted.
         climbed: terms up to which the best structure's parts are looked at, too: of more of them the whole
             was reached by way of these.
@@ -67,6 +70,7 @@ class Options:
     margin: float = 5.0
     claim: float = 5.0
     relevance: float = RELEVANCE
+    step: float = 1.0 / 3.0
     few: int = 2
     climbed: int = 4
 
@@ -133,13 +137,21 @@ class StructureSearch:
             new = False
             for evidence in (_with_disturbance, _undisturbed):
                 best = state.most(evidence)
-                if best not in state.looked:
+                if best not in state.looked and self._leads_on(state, best):
                     self._look(state, best)
                     self._refit_narrowed(state, best)
                     self._refit_promising(state, evidence)
                     new = True
             if not new:
                 break
+
+    def _leads_on(self, state: SearchState, structure: Structure) -> bool:
+        """Whether a structure explains enough of what the best one that was looked at leaves."""
+        if not state.looked:
+            return True
+        nearest = max(state.looked, key=lambda s: state.refitted[s].log_evidence)
+        left, remains = (state.refitted[s].fitted.noise ** 2 for s in (nearest, structure))
+        return relevance(left, remains) >= self.options.step
 
     def _look(self, state: SearchState, structure: Structure) -> None:
         """Linearise at a refitted structure, and compare all others there."""
