@@ -19,6 +19,7 @@ from labhil.commands.firmware import add_firmware
 from labhil.commands.machine import add_machine
 from labhil.commands.pages import link_pages
 from labhil.commands.repair import add_repair
+from labhil.commands.replay import add_replay
 from labhil.commands.safety import add_safety
 from labhil.commands.serve import add_serve
 from labhil.commands.start import add_start
@@ -87,6 +88,7 @@ for add in (
     add_studies,
     add_benchmarks,
     add_tui,
+    add_replay,
     add_machine,
 ):
     add(app)

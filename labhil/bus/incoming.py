@@ -82,6 +82,24 @@ class MarkRequest(Incoming):
     text: Text
 
 
+class ReplayRequest(Incoming):
+    """Something that is asked of a replay; ``value`` is a speed, or a time in s of the host."""
+
+    action: Literal["status", "pause", "play", "speed", "seek"] = "status"
+    value: float = 0.0
+
+
+class ReplayMessage(Incoming):
+    """How far a replay is, s of the host."""
+
+    path: Text
+    position: float
+    duration: float
+    speed: Annotated[float, Field(gt=0)]
+    paused: bool
+    ended: bool
+
+
 class EventMessage(Incoming):
     """Something that happened at Unix time ``t_ns``; a plain note has a ``text``."""
 

@@ -5,6 +5,9 @@ A chunk that begins with ``@`` is not matched by wildcards, so ``lab/*/*`` sees 
 
 from __future__ import annotations
 
+LAB, REPLAY = "lab", "replay"
+"""The namespaces of devices and of replayed recordings: who listens to the one hears nothing of the other."""
+
 ALL_STREAMS = "lab/*/*"
 """What a recorder subscribes: every stream and every event of every device."""
 
@@ -13,6 +16,12 @@ ALL_SCHEMAS = "lab/*/@schema/*"
 
 ALL_LIVE = "lab/*/@live"
 """The liveliness tokens of all devices."""
+
+REPLAYED_STREAMS, REPLAYED_SCHEMAS = "replay/*/*", "replay/*/@schema/*"
+"""The same of recordings that are replayed; no recorder and no host listens there."""
+
+REPLAY_CONTROL = "replay/@control"
+"""Where a replay is asked how far it is, and told to pause, go on, run faster or go elsewhere."""
 
 ARRIVED = "lab/@arrived"
 """Where every subscription answers; the answer comes after all that was sent to it before the question."""
@@ -27,14 +36,14 @@ EVENT = "event"
 SETPOINT = "setpoint"
 
 
-def stream_key(device: str, stream: str) -> str:
+def stream_key(device: str, stream: str, namespace: str = LAB) -> str:
     """Where the samples of a stream are published, one message each."""
-    return f"lab/{device}/{stream}"
+    return f"{namespace}/{device}/{stream}"
 
 
-def schema_key(device: str, stream: str) -> str:
+def schema_key(device: str, stream: str, namespace: str = LAB) -> str:
     """Where the declaration of a stream is asked for."""
-    return f"lab/{device}/@schema/{stream}"
+    return f"{namespace}/{device}/@schema/{stream}"
 
 
 def live_key(device: str) -> str:
@@ -52,12 +61,12 @@ def setpoint_key(device: str) -> str:
     return f"lab/{device}/{SETPOINT}"
 
 
-def event_key(device: str) -> str:
+def event_key(device: str, namespace: str = LAB) -> str:
     """Where a device's events are published, as JSON."""
-    return f"lab/{device}/{EVENT}"
+    return f"{namespace}/{device}/{EVENT}"
 
 
 def split_key(key: str) -> tuple[str, str]:
-    """Return device and stream of a key that ``ALL_STREAMS`` or ``ALL_SCHEMAS`` matched."""
+    """Return device and stream of a key of a stream or of a schema, of a device or of a replay."""
     parts = key.split("/")
     return parts[1], parts[-1]

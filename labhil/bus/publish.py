@@ -14,7 +14,7 @@ import zenoh
 
 from labhil.bus.ask import serve
 from labhil.bus.incoming import dump
-from labhil.bus.keys import event_key, schema_key, stream_key
+from labhil.bus.keys import LAB, event_key, schema_key, stream_key
 from labhil.bus.session import Bus
 from labhil.codec import Codec, stream_to_json
 from labhil.errors import BusError
@@ -33,7 +33,8 @@ class StreamPublisher:
 
     ``put`` hands a batch to a thread by a bounded queue and returns at once. When the bus cannot take
     more, samples are dropped there and counted in ``overflows`` (number of samples); readers see the
-    hole in ``seq``. ``metadata`` (serial number, firmware, speed) ends up in the recording.
+    hole in ``seq``. ``metadata`` (serial number, firmware, speed) ends up in the recording. ``namespace`` is
+    that of devices, unless what is published is a recording.
     """
 
     def __init__(
@@ -44,6 +45,7 @@ class StreamPublisher:
         metadata: Mapping[str, str] | None = None,
         *,
         depth: int = 4096,
+        namespace: str = LAB,
     ) -> None:
         self.codec = Codec(stream)
         self.overflows = 0
@@ -51,12 +53,12 @@ class StreamPublisher:
         self._queue: queue.Queue[list[bytes] | None] = queue.Queue(depth)
         self._closing = threading.Event()
         self._session = bus.session
-        key = stream_key(device, stream.name)
+        key = stream_key(device, stream.name, namespace)
         self._publisher = bus.session.declare_publisher(
             key, congestion_control=zenoh.CongestionControl.BLOCK, priority=zenoh.Priority.DATA
         )
         self._reply = schema_reply(self.codec, metadata or {})
-        self._schema_key = schema_key(device, stream.name)
+        self._schema_key = schema_key(device, stream.name, namespace)
         self._schema = serve(bus, self._schema_key, lambda _: self._reply)
         self._thread = threading.Thread(target=self._run, name=f"publish {key}")
         self._thread.start()
@@ -78,6 +80,14 @@ class StreamPublisher:
             self._queue.put_nowait(self.codec.encode(batch))
         except queue.Full:
             self.overflows += len(batch)
+
+    def restate(self, metadata: Mapping[str, str]) -> None:
+        """Tell everybody that other metadata hold from now on; BusError when the session is closed."""
+        self._reply = schema_reply(self.codec, metadata)
+        try:
+            self._tell_schema()
+        except zenoh.ZError as error:
+            raise BusError(f"{self._schema_key}: could not be published: {error}") from error
 
     def close(self) -> None:
         """Publish what is still queued, then let go of the key; safe to call twice."""
@@ -154,7 +164,7 @@ def publish_command(bus: Bus, key: str, payload: bytes) -> None:
         raise BusError(f"{key}: the command could not be published: {error}") from error
 
 
-def publish_event(bus: Bus, device: str, event: str | Mapping[str, Any]) -> None:
+def publish_event(bus: Bus, device: str, event: str | Mapping[str, Any], namespace: str = LAB) -> None:
     """Publish something that happened; a plain text becomes ``{"text": …}``.
 
     The host's time is added as ``t_ns`` (Unix time) unless it is there already. BusError when the
@@ -163,7 +173,7 @@ def publish_event(bus: Bus, device: str, event: str | Mapping[str, Any]) -> None
     body: dict[str, Any] = {"text": event} if isinstance(event, str) else dict(event)
     body = {name: value[:LONGEST_TEXT] if isinstance(value, str) else value for name, value in body.items()}
     body.setdefault("t_ns", unix_ns())
-    key = event_key(device)
+    key = event_key(device, namespace)
     try:
         bus.session.put(key, dump(body), congestion_control=zenoh.CongestionControl.BLOCK)
     except zenoh.ZError as error:

@@ -25,6 +25,7 @@ GUIDES: Mapping[str, str] = {
     "labhil linear": "docs/explanation/rigs.md",
     "labhil demo": "docs/tutorials/demo.md",
     "labhil tui": "docs/how-to/terminal-ui.md",
+    "labhil replay": "docs/how-to/replay.md",
     "labhil doctor": "docs/how-to/what-to-do-when.md",
 }
 """By the command as it is typed; of the others the reference of the command line is the page."""

@@ -75,7 +75,7 @@ def _with(trouble: Mapping[str, str], outcome: Outcome) -> Outcome:
 
 def _ask_everywhere(payload: Mapping[str, Any], connect: str | None) -> Outcome:
     place = None if connect is None else check_loopback(connect)
-    entries = [entry for entry in running() if place in (None, entry.endpoint)]
+    entries = [e for e in running() if e.kind != "replay" and place in (None, e.endpoint)]
     expected = {device for entry in entries for device in entry.devices}
     if place is None and not entries:
         return Outcome({}, {}, ())

@@ -89,9 +89,9 @@ class LabApp(App[None]):
         Binding("ctrl+q,ctrl+c", "leave", "Quit", id="app.quit.too", show=False, priority=True),
     ]
 
-    def __init__(self, folder: Path, lab: Lab, *, theme: str = DARK.name) -> None:
+    def __init__(self, folder: Path, lab: Lab, *, theme: str = DARK.name, tab: str = "devices") -> None:
         super().__init__()
-        self.folder, self.lab = folder, lab
+        self.folder, self.lab, self._first_tab = folder, lab, tab
         self.runner = Runner(folder, lambda line: self.post_message(RunSaid(line)))
         self.jobs = Jobs(lambda number, line: self.post_message(StudySaid(number, line)), time.monotonic)
         self.shelf = Shelf(folder)
@@ -113,7 +113,7 @@ class LabApp(App[None]):
             yield Static(id="bar-run")
             yield StopButton(" ■ STOP ALL  F12 ", id="bar-stop")
         yield Static(id="stop-note")
-        with TabbedContent(initial="devices", id="tabs"):
+        with TabbedContent(initial=self._first_tab, id="tabs"):
             with TabPane("1 Devices", id="devices"):
                 yield DevicesPane(self.lab)
             with TabPane("2 Live", id="live"):

@@ -11,7 +11,7 @@ from textual.containers import Container, Vertical, VerticalScroll
 from textual.widgets import DataTable, Static
 
 from labhil.tui.lab import Lab
-from labhil.tui.watch import DeviceView, Said
+from labhil.tui.watch import REPLAYED, DeviceView, Said
 from labhil.tui.words import (
     NOTHING,
     PlainTable,
@@ -116,7 +116,7 @@ class DevicesPane(Vertical):
         if beat is not None and beat.gaps:
             gaps.stylize(f"bold {colours['warning']}")
         return [
-            Text(view.name, style="bold"),
+            Text(view.name.removeprefix(REPLAYED), style="bold"),
             device_look(view).text(colours),
             Text(rate),
             gaps,
@@ -177,6 +177,8 @@ def facts(endpoint: str, view: DeviceView) -> list[tuple[str, str]]:
         lines.append(("samples", f"{count(beat.received)} seen, {count(beat.gaps)} missing"))
     lines.append(("state", f"{view.state}: {view.reason}" if view.reason else view.state))
     told = view.metadata
+    if view.is_replayed:
+        lines.append(("replay", "no device is there: a recording is played"))
     lines += [(name, told[name]) for name in ("plugin", "address", "firmware", "serial") if told.get(name)]
     lines.append(("bus", endpoint))
     return lines

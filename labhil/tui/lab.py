@@ -10,13 +10,15 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
+from labhil.bus.incoming import ReplayMessage
 from labhil.bus.latch import Latch, read_latch
 from labhil.bus.register import running
 from labhil.bus.session import open_bus
 from labhil.errors import LabhilError
 from labhil.service.emergency import Outcome, press_everywhere, press_on, release_everywhere
 from labhil.signals import Signal
-from labhil.tui.watch import DeviceView, Said, StreamWatch, Watch
+from labhil.tui.stream_watch import StreamWatch
+from labhil.tui.watch import DeviceView, Said, Watch
 
 LOOK_INTERVAL = 0.5
 FORGET_AFTER = 3
@@ -112,6 +114,16 @@ class Lab:
         said = [event for watch in self.watches.values() for event in watch.events.copy()]
         return sorted(said, key=lambda event: event.t_ns)
 
+    def replays(self) -> list[tuple[str, ReplayMessage]]:
+        """Recordings that are replayed, each with the endpoint of its bus."""
+        return [(place, watch.replay) for place, watch in self.watches.items() if watch.replay is not None]
+
+    def control_replay(self, endpoint: str, action: str, value: float = 0.0) -> None:
+        """Ask a replay to "pause", "play", "speed" or "seek"; waits for its answer, raises LabhilError."""
+        watch = self.watches.get(endpoint)
+        if watch is not None:
+            watch.control_replay(action, value)
+
     @property
     def trouble(self) -> str:
         """What was wrong last with what came in; empty where nothing was."""
@@ -141,8 +153,8 @@ class Lab:
         for endpoint in self._fixed:
             watch = self.watches.get(endpoint)
             if watch is not None:
-                expected = [view.name for view in watch.devices() if view.state != "gone"]
-                outcomes.append(press_on(watch.bus, BY, reason, expected))
+                there = [view for view in watch.devices() if view.state != "gone" and not view.is_replayed]
+                outcomes.append(press_on(watch.bus, BY, reason, [view.name for view in there]))
         answered = {name: state for outcome in outcomes for name, state in outcome.answered.items()}
         failed = {name: why for outcome in outcomes for name, why in outcome.failed.items()}
         silent = {name for outcome in outcomes for name in outcome.silent} - answered.keys()

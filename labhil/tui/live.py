@@ -17,9 +17,10 @@ from labhil.tui import lab as labs
 from labhil.tui.curve import PENS, Curve
 from labhil.tui.lab import Lab, Place
 from labhil.tui.plot import Chart
+from labhil.tui.replaying import replay_line, steer
+from labhil.tui.stream_watch import trace
 from labhil.tui.themes import CURVES
 from labhil.tui.ticks import Limits, limits_of
-from labhil.tui.watch import trace
 from labhil.tui.words import duration
 
 WINDOWS = (2.0, 5.0, 10.0, 20.0, 60.0)
@@ -40,6 +41,10 @@ class LivePane(Horizontal):
         Binding("full_stop", "window(1)", "Longer", id="live.longer", tooltip="Show more of the past"),
         Binding("comma", "window(-1)", "Shorter", id="live.shorter", tooltip="Show less of the past"),
         Binding("y", "rescale", "Fit y", id="live.rescale", tooltip="Limits from what is shown now"),
+        Binding("k", "replay('toggle')", "Pause", id="replay.pause", tooltip="Hold the replay, or go on"),
+        Binding("greater_than_sign", "replay('speed', 1)", "Faster", id="replay.faster", show=False),
+        Binding("less_than_sign", "replay('speed', -1)", "Slower", id="replay.slower", show=False),
+        Binding("j", "replay('back')", "10 s back", id="replay.back", show=False),
         Binding("l", "list", "Signals", id="live.list", tooltip="Show or hide the list of signals"),
     ]
 
@@ -51,7 +56,7 @@ class LivePane(Horizontal):
         self._limits: dict[str, Limits] = {}
         self._window = 2
         self._said = Text()
-        self.frozen = False
+        self.frozen = self._replayed = False
 
     def compose(self) -> ComposeResult:
         """The list, the state, the charts."""
@@ -70,6 +75,10 @@ class LivePane(Horizontal):
         """Take up signals that appeared, and drop those that are gone."""
         if self.frozen:
             return  # what is held is held, whatever comes and goes meanwhile
+        replayed = bool(self._lab.replays())
+        if replayed != self._replayed:
+            self._replayed = replayed
+            self.refresh_bindings()
         places = {place.key: place for place in self._lab.places()}
         if places.keys() == self._places.keys():
             return
@@ -163,6 +172,8 @@ class LivePane(Horizontal):
         if self.frozen:
             line.append("‖ FROZEN ", style=f"bold {colours['warning']}")
             line.append("the recording goes on; p goes on here, arrows and + − look around", colours["muted"])
+        elif replays := self._lab.replays():
+            line.append_text(replay_line(replays[0][1], colours))
         elif self._places:
             line.append(f"▶ the last {duration(self.window)}", style="bold")
             line.append(f", {len(self._charts)} of {len(self._places)} signals", style=colours["muted"])
@@ -175,6 +186,20 @@ class LivePane(Horizontal):
         self.frozen = not self.frozen
         self.refresh_list()
         self.draw()
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """There is something to steer only where a recording is replayed."""
+        return bool(self._lab.replays()) if action == "replay" else True
+
+    def action_replay(self, what: str, way: int = 0) -> None:
+        """Steer what is replayed; its answer is waited for in a thread."""
+
+        def go() -> None:
+            complaint = steer(self._lab, what, way)
+            if complaint:
+                self.app.call_later(self.app.notify, complaint, severity="error")
+
+        self.run_worker(go, thread=True, group="replay", exit_on_error=False)
 
     def action_window(self, change: int) -> None:
         """Show more or less of the past."""

@@ -11,8 +11,8 @@ from labhil.tui.lab import Lab
 from labhil.tui.themes import DARK, LIGHT
 
 
-def run_tui(folder: Path, connect: Iterable[str], *, light: bool = False) -> int:
-    """Show the screen until it is left; returns the exit status.
+def run_tui(folder: Path, connect: Iterable[str], *, light: bool = False, tab: str = "devices") -> int:
+    """Show the screen, first this ``tab`` of it, until it is left; returns the exit status.
 
     Raises UsageError where there is no such folder, BusError where nobody listens at an endpoint. However
     the screen ends, a run that it started is ended in order.
@@ -20,7 +20,7 @@ def run_tui(folder: Path, connect: Iterable[str], *, light: bool = False) -> int
     if not folder.is_dir():
         raise UsageError(f"{folder}: expected a folder for recordings, found none")
     with Lab(tuple(connect)) as lab:
-        app = LabApp(folder, lab, theme=LIGHT.name if light else DARK.name)
+        app = LabApp(folder, lab, theme=LIGHT.name if light else DARK.name, tab=tab)
         try:
             app.run()
         finally:

@@ -14,6 +14,7 @@ from textual.widgets import DataTable, Static
 from textual.widgets.data_table import CellDoesNotExist
 
 from labhil.campaign.studies.study import Task
+from labhil.tui.analysis import AnalysisDialog
 from labhil.tui.dialogs import Choose
 from labhil.tui.messages import StudyWanted
 from labhil.tui.recording import RecordingScreen
@@ -52,8 +53,9 @@ class RecordingsPane(Vertical):
         Binding("t", "mark('T')", "Test", id="rec.test", tooltip="Mark as the recording to judge on"),
         Binding("f", "study('fit')", "Fit", id="rec.fit", tooltip="Fit the rig's general model"),
         Binding("d", "study('diagnose')", "Diagnose", id="rec.diagnose", tooltip="What physics is missing?"),
+        Binding("a", "analyse", "Terms", id="rec.analyse", tooltip="Choose terms, estimator, test, time"),
         Binding("v", "verify", "Verify", id="rec.verify", tooltip="Hold it against an accepted model"),
-        Binding("x", "study('export')", "Export", id="rec.export", tooltip="Write its samples as CSV"),
+        Binding("x", "study('export')", "CSV", id="rec.export", tooltip="Write its samples as CSV"),
     ]
 
     def __init__(self, folder: Path) -> None:
@@ -202,6 +204,20 @@ class RecordingsPane(Vertical):
         use, tests = self._use()
         if use:
             self.post_message(StudyWanted(Task(kind, use, () if kind == "export" else tests)))
+
+    def action_analyse(self) -> None:
+        """Choose terms, test recording, estimator and time, then fit or diagnose."""
+        use, tests = self._use()
+        first = next((one for one in self._shelved if one.path in use), None)
+        if first is None:
+            return
+
+        def go(task: Task | None) -> None:
+            if task is not None:
+                self.post_message(StudyWanted(task))
+
+        others = [one.path for one in self._shelved if one.path not in use and one.rig == first.rig]
+        self.app.push_screen(AnalysisDialog(Task("fit", use, tests), first.rig, others), go)
 
     def action_verify(self) -> None:
         """Hold the chosen recording against a model that is chosen now."""

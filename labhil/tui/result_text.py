@@ -27,6 +27,8 @@ from labhil.tui.words import PlainTable
 
 Colours = dict[str, str]
 
+ENDED_EARLY = "▲ It was ended early: this is the best so far."
+
 VERDICT_LOOKS = {
     "no_mismatch": ("✓", "success"),
     "parameter_change": ("≠", "warning"),
@@ -61,6 +63,8 @@ def fit_text(fit: FitPart, colours: Colours) -> RenderableType:
     if fit.statement is not None:
         colour = colours["success" if fit.verdict == "explained" else "warning"]
         head.append(f"{fit.statement}\n", style=f"bold {colour}")
+    if not fit.complete:
+        head.append(f"{ENDED_EARLY}\n", style=colours["warning"])
     for doubt in fit.doubts:
         head.append(f"▲ {doubt}\n", style=colours["warning"])
     head.append(f"R² {percent(score.r2)}", style=f"bold {colours['success']}")
@@ -174,6 +178,8 @@ def diagnosis_text(found: DiagnosisPart, colours: Colours) -> RenderableType:
     head.append(f"baseline {', '.join(listed(found.baseline.terms))}; ", style=colours["muted"])
     suffices = f"p {p_value(found.p_value)} that it suffices" if found.asks_baseline else NOT_ASKED
     head.append(f"{suffices}\n", style=colours["muted"])
+    if not found.complete:
+        head.append(f"{ENDED_EARLY}\n", style=colours["warning"])
     for size in found.collapsed:
         head.append(f"▲ {size.statement}\n", style=colours["warning"])
     for fault in found.faults:

@@ -32,6 +32,8 @@ EMPTY = """[b]No fit and no diagnosis in this folder yet.[/b]
   [b $accent]4[/] then [b $accent]d[/]   asks what physics the model leaves out"""
 
 OF_WIDTH = 25
+ENDS_EARLY = ("fit", "diagnose")
+"""Kinds of work that have a best so far."""
 SIGNS = {"at work": "…", "done": "✓", "failed": "✕", "cancelled": "■"}
 
 
@@ -46,6 +48,7 @@ class ResultsPane(Vertical):
             id="result.charts",
             tooltip="Text or charts, where there is no room for both",
         ),
+        Binding("e", "end", "End now", id="job.end", tooltip="End this work with the best so far"),
         Binding(
             "c,delete", "cancel", "Cancel", id="job.cancel", tooltip="End this work; files stay as they were"
         ),
@@ -146,7 +149,9 @@ class ResultsPane(Vertical):
 
     def _job_line(self, job: Job) -> str:
         if job.state == "at work":
-            return f"{duration(time.monotonic() - job.started)}: {job.said}"
+            gone, limit = time.monotonic() - job.started, job.task.seconds
+            left = "" if limit is None else f", at most {duration(max(limit - gone, 0.0))} left"
+            return f"{duration(gone)}{left}: {job.said}"
         return str(job.said).splitlines()[0] if job.said else job.state
 
     def _chosen(self) -> str | None:
@@ -193,6 +198,8 @@ class ResultsPane(Vertical):
             text.append(
                 "It works in a process of its own: go on with anything else.\n", style=colours["muted"]
             )
+            if job.task.kind in ENDS_EARLY:
+                text.append("e ends it now with the best so far. ", style=colours["muted"])
             text.append("c cancels it; files stay as they were.", style=colours["muted"])
         elif job.done is not None:
             told = (
@@ -223,14 +230,22 @@ class ResultsPane(Vertical):
         """Only what is at work can be cancelled."""
         if action == "charts":
             return self.screen.has_class("-narrow") and bool(self._files) if self.is_mounted else False
-        if action == "cancel":
+        if action in ("cancel", "end"):
             job = self._job(self._chosen()) if self.is_mounted else None
-            return job is not None and job.state == "at work"
+            at_work = job is not None and job.state == "at work"
+            return at_work and (action == "cancel" or (job is not None and job.task.kind in ENDS_EARLY))
         return True
 
     def action_charts(self) -> None:
         """Show the charts in the place of the text, or the text again."""
         self.toggle_class("charts-first")
+
+    def action_end(self) -> None:
+        """End the chosen work with what it has found so far."""
+        job = self._job(self._chosen())
+        if job is not None:
+            self._jobs.end(job)
+            self.refresh_view()
 
     def action_cancel(self) -> None:
         """End the chosen work."""

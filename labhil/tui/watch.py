@@ -9,46 +9,46 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Self
 
-import numpy as np
-
 from labhil.bus.ask import ask
 from labhil.bus.incoming import (
     LARGEST_SCHEMA,
     EventMessage,
+    ReplayMessage,
     SchemaMessage,
     StreamDeclaration,
     parse,
     validate,
 )
-from labhil.bus.keys import ALL_SCHEMAS, ALL_STREAMS, EVENT, SETPOINT, command_key, schema_key, split_key
+from labhil.bus.keys import (
+    ALL_SCHEMAS,
+    ALL_STREAMS,
+    EVENT,
+    LAB,
+    REPLAY,
+    REPLAY_CONTROL,
+    REPLAYED_SCHEMAS,
+    REPLAYED_STREAMS,
+    SETPOINT,
+    command_key,
+    schema_key,
+    split_key,
+)
 from labhil.bus.live import live_devices
 from labhil.bus.session import Bus
 from labhil.bus.subscribe import subscribe
-from labhil.codec import Codec, stream_from_json
+from labhil.codec import stream_from_json
 from labhil.errors import BusError, CommandRefusedError, ProtocolError
-from labhil.host_clock import steady_ns
-from labhil.recording.stamps import HOST_CLOCK
-from labhil.signals import FloatArray, Signal, Stream
-from labhil.tui.ring import Ring
-
-KEPT = 60.0
-"""How far back a plot can look, s of the host's clock."""
-
-MEASURED_OVER = 2.0
-"""Rate and delays are those of the newest samples of so many s of the host's clock."""
-
-SILENT_AFTER = 0.6
-"""A stream that sends nothing for so long is marked as silent, s; slow streams after five periods."""
+from labhil.signals import Signal, Stream
+from labhil.tui.stream_watch import Beat, StreamWatch
 
 ASK_INTERVAL = 0.5
 ASK_TIMEOUT = 0.5
-MOST_ROWS = 65536
 MOST_EVENTS = 200
 
 MOST_DEVICES = 1000
@@ -65,6 +65,9 @@ UNEXPLAINED = (
 
 COMMAND_STREAM = "command"
 
+REPLAYED = f"{REPLAY}/"
+"""What the name of a device begins with that is only replayed; names of devices have no stroke in them."""
+
 
 @dataclass(frozen=True, slots=True)
 class Said:
@@ -74,25 +77,6 @@ class Said:
     device: str
     kind: str
     message: str
-
-
-@dataclass(frozen=True, slots=True)
-class Beat:
-    """How regularly a stream comes in.
-
-    ``rate`` is measured (samples per s of the host's clock), None while there are too few; ``age`` is s
-    since the newest sample came; ``silent`` is whether that is too long. ``transit`` is from acquisition on
-    the host to here, ``lateness`` by how much the slowest sample was later at the host than the quickest,
-    by the device's clock; both s.
-    """
-
-    rate: float | None
-    age: float
-    silent: bool
-    gaps: int
-    received: int
-    transit: float | None
-    lateness: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,61 +94,10 @@ class DeviceView:
     last: tuple[float, ...]
     event: Said | None
 
-
-@dataclass(slots=True)
-class StreamWatch:
-    """One stream as it comes in."""
-
-    stream: Stream
-    speed: float
-    metadata: Mapping[str, str]
-    codec: Codec = field(init=False)
-    ring: Ring = field(init=False)
-    received: int = 0
-    gaps: int = 0
-    last_seq: int | None = None
-    arrived_at: float = 0.0
-    transits: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=512))
-
-    def __post_init__(self) -> None:
-        self.codec = Codec(self.stream)
-        rows = round(self.stream.rate * self.speed * KEPT * 1.1)
-        self.ring = Ring(self.stream.width, min(max(rows, 1024), MOST_ROWS))
-
     @property
-    def ahead_ns(self) -> int:
-        """By how much the clock that stamps the samples is ahead of this machine's wall clock, ns.
-
-        The wall clock may have been set since the session of the device began, its clock not.
-        """
-        offset = self.metadata.get(HOST_CLOCK)
-        return 0 if offset is None else steady_ns() + int(offset) - time.time_ns()
-
-    def take(self, payloads: list[bytes], now: float, now_ns: int) -> None:
-        """Take messages in."""
-        batch = self.codec.decode(payloads)
-        seq = batch.seq
-        before = self.last_seq if self.last_seq is not None else int(seq[0]) - 1
-        self.gaps += int(np.maximum(np.diff(seq, prepend=before) - 1, 0).sum())
-        self.last_seq = int(seq[-1])
-        self.received += len(batch)
-        self.arrived_at = now
-        self.transits.append((now, (now_ns + self.ahead_ns - int(batch.t_acq_ns[-1])) * 1e-9))
-        self.ring.append(batch)
-
-    def beat(self, now: float) -> Beat:
-        """How regularly it came in lately; times on the monotonic clock, s."""
-        age = now - self.arrived_at
-        silent = age > max(SILENT_AFTER, 5.0 / (self.stream.rate * self.speed))
-        t_acq, t_hw, _ = self.ring.newest(MEASURED_OVER)
-        rate = lateness = None
-        if len(t_acq) > 2 and t_acq[-1] > t_acq[0] and not silent:
-            rate = (len(t_acq) - 1) / ((t_acq[-1] - t_acq[0]) * 1e-9)
-            delays = (t_acq - t_acq[0]) - (t_hw - t_hw[0]) / self.speed
-            lateness = float(delays.max() - delays.min()) * 1e-9
-        recent = [transit for at, transit in self.transits.copy() if now - at < MEASURED_OVER]
-        transit = float(np.median(recent)) if recent and not silent else None
-        return Beat(rate, age, silent, self.gaps, self.received, transit, lateness)
+    def is_replayed(self) -> bool:
+        """Whether a recording is played, and no device is there."""
+        return self.name.startswith(REPLAYED)
 
 
 @dataclass(slots=True)
@@ -190,6 +123,8 @@ class Watch:
         self.bus = bus
         self.events: deque[Said] = deque(maxlen=MOST_EVENTS)
         self.trouble = ""
+        self.replay: ReplayMessage | None = None
+        """The replay on this bus, if one is there."""
         self._devices: dict[str, _Device] = {}
         self._unknown: dict[tuple[str, str], float] = {}
         self._lock = threading.Lock()
@@ -198,8 +133,10 @@ class Watch:
 
     def __enter__(self) -> Self:
         with ExitStack() as resources:
-            resources.enter_context(subscribe(self.bus, ALL_SCHEMAS, self._take_schemas))
-            resources.enter_context(subscribe(self.bus, ALL_STREAMS, self._take))
+            for schemas in (ALL_SCHEMAS, REPLAYED_SCHEMAS):
+                resources.enter_context(subscribe(self.bus, schemas, self._take_schemas))
+            for streams in (ALL_STREAMS, REPLAYED_STREAMS):
+                resources.enter_context(subscribe(self.bus, streams, self._take))
             self._asking = asking = threading.Thread(target=self._ask_around, name="ask devices")
             asking.start()
             resources.callback(asking.join)
@@ -253,12 +190,12 @@ class Watch:
 
     def _take_schemas(self, key: str, payloads: list[bytes]) -> None:
         try:
-            self._learn(*split_key(key), parse(SchemaMessage, payloads[-1], "a schema", LARGEST_SCHEMA))
+            self._learn(*_names(key), parse(SchemaMessage, payloads[-1], "a schema", LARGEST_SCHEMA))
         except UNEXPLAINED as error:
             self.trouble = f"{key}: {error}"
 
     def _take(self, key: str, payloads: list[bytes]) -> None:
-        device, stream = split_key(key)
+        device, stream = _names(key)
         if stream == EVENT:
             for payload in payloads:
                 self._note(device, payload)
@@ -280,7 +217,12 @@ class Watch:
         speed = float(metadata.get("speed", 1.0))
         if not 0 < speed < float("inf"):
             raise ProtocolError(f"speed: expected a positive number, found {speed}")
-        watched = StreamWatch(stream_from_json(reply.stream), speed, metadata)
+        declared = stream_from_json(reply.stream)
+        known = self.stream(device, stream) if device.startswith(REPLAYED) else None
+        if known is not None and known.stream == declared:  # only its speed was changed
+            known.speed, known.metadata = speed, metadata
+            return
+        watched = StreamWatch(declared, speed, metadata)
         with self._lock:
             self._device(device).streams[stream] = watched
             self._unknown.pop((device, stream), None)
@@ -295,8 +237,8 @@ class Watch:
         except CommandRefusedError:
             said = Said(time.time_ns(), device, "note", payload[:1000].decode("utf-8", "replace"))
         self.events.append(said)
-        if device == "run":
-            return
+        if device == "run" or device.startswith(REPLAYED):
+            return  # what a device was at that time says nothing about now
         with self._lock:
             if device not in self._devices and len(self._devices) >= MOST_DEVICES:
                 return
@@ -324,19 +266,39 @@ class Watch:
             for name in alive:
                 self._device(name)
             known = list(self._devices.items())
+        self._ask_replay(name for name, _ in known)
+        with self._lock:
             for name, device in known:
-                device.alive = name in alive
+                device.alive = name in alive or (name.startswith(REPLAYED) and self.replay is not None)
             unknown = list(self._unknown)
             unknown += [(name, "state") for name, device in known if device.alive and not device.streams]
         for device_name, stream in dict.fromkeys(unknown):
             self._ask_schema(device_name, stream)
         for name, device in known:
-            if device.alive:
+            if device.alive and name.startswith(REPLAYED):
+                device.state, device.reason = _replay_state(self.replay)
+            elif device.alive:
                 self._ask_status(name, device)
+
+    def _ask_replay(self, names: Iterable[str]) -> None:
+        if self.replay is None and not any(name.startswith(REPLAYED) for name in names):
+            return
+        try:
+            self.control_replay("status")
+        except (BusError, CommandRefusedError):
+            self.replay = None
+
+    def control_replay(self, action: str, value: float = 0.0) -> None:
+        """Ask the replay on this bus for something; waits for its answer.
+
+        Raises BusError where none answers, CommandRefusedError where it refuses.
+        """
+        answer = ask(self.bus, REPLAY_CONTROL, {"action": action, "value": value}, timeout=ASK_TIMEOUT)
+        self.replay = validate(ReplayMessage, answer, "a replay")
 
     def _ask_schema(self, device: str, stream: str) -> None:
         try:
-            reply = ask(self.bus, schema_key(device, stream), timeout=ASK_TIMEOUT)
+            reply = ask(self.bus, schema_key(*_place(device, stream)), timeout=ASK_TIMEOUT)
             self._learn(device, stream, validate(SchemaMessage, reply, "a schema"))
         except (BusError, *UNEXPLAINED) as error:
             self.trouble = f"{device}/{stream}: {error}"
@@ -350,6 +312,27 @@ class Watch:
         device.state, device.reason = str(status.get("state", "unknown")), str(status.get("reason", ""))
         holder = status.get("holder")
         device.holder = None if holder is None else str(holder)
+
+
+def _names(key: str) -> tuple[str, str]:
+    """Device and stream of a key; a device that is replayed is never called like one that is there."""
+    device, stream = split_key(key)
+    return (f"{REPLAYED}{device}" if key.startswith(REPLAYED) else device), stream
+
+
+def _place(device: str, stream: str) -> tuple[str, str, str]:
+    """Device, stream and namespace, as keys are made of them."""
+    return device.removeprefix(REPLAYED), stream, REPLAY if device.startswith(REPLAYED) else LAB
+
+
+def _replay_state(replay: ReplayMessage | None) -> tuple[str, str]:
+    """The state of what is replayed, and where in its recording it is."""
+    if replay is None:
+        return "gone", ""
+    where = f"{replay.position:.1f} of {replay.duration:.1f} s of {replay.path}"
+    if replay.ended:
+        return "replay ended", where
+    return ("replay paused" if replay.paused else "replay"), where
 
 
 def _view(name: str, device: _Device, now: float) -> DeviceView:
@@ -371,10 +354,3 @@ def _view(name: str, device: _Device, now: float) -> DeviceView:
         last=last,
         event=device.event,
     )
-
-
-def trace(watched: StreamWatch, signal: str, seconds: float, now_ns: int) -> tuple[FloatArray, FloatArray]:
-    """The newest ``seconds`` of a signal: s before ``now_ns`` (n,), negative, and values (n, columns)."""
-    t_acq, _, values = watched.ring.newest(seconds)
-    ago: FloatArray = (t_acq - (now_ns + watched.ahead_ns)).astype(np.float64) * 1e-9
-    return ago, values[:, watched.stream.columns_of(signal)]

@@ -38,6 +38,9 @@ STATES = {
     "stopped": Look("■", "stopped", "muted"),
     "no answer": Look("?", "no answer", "warning"),
     "gone": Look("✕", "gone", "muted"),
+    "replay": Look("↻", "replay", "accent"),
+    "replay paused": Look("‖", "replay", "accent"),
+    "replay ended": Look("■", "replay", "muted"),
 }
 
 RUN_STATES = {
@@ -77,7 +80,7 @@ def device_look(view: DeviceView) -> Look:
     """How a device stands; one that lives and sends nothing is silent whatever its host says."""
     if view.state == "gone":
         return STATES["gone"]
-    if view.beat is not None and view.beat.silent:
+    if view.beat is not None and view.beat.silent and not view.is_replayed:
         return Look("◌", f"SILENT {whole(view.beat.age)}", "warning")
     return STATES.get(view.state, Look("?", view.state, "muted"))
 

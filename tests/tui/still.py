@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from labhil.bus.incoming import ReplayMessage
 from labhil.bus.latch import Latch
 from labhil.service.emergency import Outcome
 from labhil.signals import Batch, Direction, Hold, Signal, Stream
 from labhil.tui.lab import Place
-from labhil.tui.watch import Beat, DeviceView, Said, StreamWatch
+from labhil.tui.stream_watch import Beat, StreamWatch
+from labhil.tui.watch import DeviceView, Said
 
 NOW_NS = 1_790_000_000_000_000_000
 ENDPOINT = "tcp/127.0.0.1:40123"
@@ -30,6 +32,7 @@ class StillLab:
     def __init__(self, *, empty: bool = False) -> None:
         self._empty = empty
         self.trouble = ""
+        self.replay: ReplayMessage | None = None
         self.latch: Latch | None = None
         self._bench = StreamWatch(STATE, 1.0, {"plugin": "ball_beam"})
         n = 2000
@@ -67,6 +70,14 @@ class StillLab:
 
     def stream(self, _place: Place) -> StreamWatch:
         return self._bench
+
+    def replays(self) -> list[tuple[str, ReplayMessage]]:
+        return [] if self.replay is None else [(ENDPOINT, self.replay)]
+
+    def control_replay(self, _endpoint: str, action: str, value: float = 0.0) -> None:
+        assert self.replay is not None
+        change = {"paused": action == "pause"} if action in ("pause", "play") else {"speed": value}
+        self.replay = self.replay.model_copy(update=change)
 
     def events(self) -> list[Said]:
         if self._empty:

@@ -18,8 +18,8 @@ from labhil.campaign.studies.study import Task, free_name
 from labhil.signals import Batch, Direction, Signal, Stream
 from labhil.tui.ring import Ring, envelope, pieces
 from labhil.tui.shelf import Shelf, experiments, results
+from labhil.tui.stream_watch import StreamWatch
 from labhil.tui.ticks import labels, limits_of, round_step, ticks
-from labhil.tui.watch import StreamWatch
 
 STREAM = Stream("state", (Signal("x", "m", Direction.OUTPUT),), 100.0)
 
@@ -102,7 +102,9 @@ def test_a_folder_lists_recordings_experiments_and_results(folder: Path) -> None
 
 
 def test_a_task_survives_the_way_to_its_process(tmp_path: Path) -> None:
-    task = Task("fit", (tmp_path / "a.mcap",), (tmp_path / "b.mcap",), tmp_path / "c.json")
+    task = Task(
+        "fit", (tmp_path / "a.mcap",), (tmp_path / "b.mcap",), tmp_path / "c.json", ("x",), "pso", 3.0
+    )
     assert Task.from_json(json.loads(json.dumps(task.to_json()))) == task
 
 

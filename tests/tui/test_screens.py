@@ -17,7 +17,9 @@ import pytest
 from textual.pilot import Pilot
 from textual.widgets import Input
 
+from labhil.bus.incoming import ReplayMessage
 from labhil.tui import lab as labs
+from labhil.tui.analysis import AnalysisDialog
 from labhil.tui.app import LabApp
 from labhil.tui.themes import DARK, LIGHT
 
@@ -57,6 +59,23 @@ async def release(pilot: Pilot[None], app: LabApp) -> None:
     await keys("1", "f12", "f9")(pilot, app)
 
 
+async def replayed(pilot: Pilot[None], app: LabApp) -> None:
+    app.lab.replay = ReplayMessage(  # type: ignore[attr-defined]
+        path="ball_beam_identify.mcap", position=23.4, duration=60.0, speed=2.0, paused=False, ended=False
+    )
+    await keys("2")(pilot, app)
+
+
+async def analysis(pilot: Pilot[None], app: LabApp) -> None:
+    """With the catalogue read, which takes a process of its own some seconds."""
+    await keys("4", "a")(pilot, app)
+    dialog = app.screen
+    assert isinstance(dialog, AnalysisDialog)
+    while dialog.catalogue is None:
+        await pilot.pause(SETTLED)
+    await keys("s", "s", "down", "down")(pilot, app)
+
+
 async def palette(pilot: Pilot[None], _app: LabApp) -> None:
     """With the first experiment's plan read: what the palette offers depends on it."""
     await pilot.press("3")
@@ -67,6 +86,7 @@ async def palette(pilot: Pilot[None], _app: LabApp) -> None:
 SHOWN: dict[str, Go] = {
     "devices": keys("1"),
     "live": keys("2"),
+    "replay": replayed,
     "experiment": running,
     "recordings": keys("4", "space", "down", "t"),
     "recording": keys("4", "enter"),
@@ -76,12 +96,14 @@ SHOWN: dict[str, Go] = {
     "stopped": stopped,
     "release": release,
     "verify": keys("4", "v"),
+    "analysis": analysis,
     "keys": keys("4", "question_mark"),
     "palette": palette,
 }
 DOCUMENTED = {
     "devices-80x24": "devices",
     "live-160x50": "live",
+    "replay-80x24": "replay",
     "experiment-160x50": "experiment",
     "recordings-80x24": "recordings",
     "recording-160x50": "recording",
@@ -90,6 +112,7 @@ DOCUMENTED = {
     "stopped-80x24": "stopped",
     "release-80x24": "release",
     "verify-80x24": "verify",
+    "analysis-80x24": "analysis",
     "keys-80x24": "keys",
     "palette-80x24": "palette",
 }

@@ -16,8 +16,9 @@ from labhil.signals import Direction, Signal
 from labhil.tui.app import LabApp
 from labhil.tui.lab import Place
 from labhil.tui.live import LivePane
+from labhil.tui.stream_watch import StreamWatch
 from labhil.tui.ticks import limits_of
-from labhil.tui.watch import DeviceView, Said, StreamWatch
+from labhil.tui.watch import DeviceView, Said
 
 sys.path.insert(0, str(Path(__file__).parent))
 

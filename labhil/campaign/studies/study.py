@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -26,12 +27,19 @@ CANCELLED = 130
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What is asked for: ``kind`` is "fit", "diagnose", "verify" or "export"."""
+    """What is asked for: ``kind`` is "fit", "diagnose", "verify" or "export".
+
+    ``terms`` are those of a fit's model or a diagnosis' baseline, None for the rig kind's own; ``seconds`` is
+    how long it may take before it ends with the best so far.
+    """
 
     kind: str
     recordings: tuple[Path, ...]
     tests: tuple[Path, ...] = ()
     model: Path | None = None
+    terms: tuple[str, ...] | None = None
+    estimator: str | None = None
+    seconds: float | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Return the task as plain data."""
@@ -40,17 +48,23 @@ class Task:
             "recordings": [str(path.absolute()) for path in self.recordings],
             "tests": [str(path.absolute()) for path in self.tests],
             "model": None if self.model is None else str(self.model.absolute()),
+            "terms": None if self.terms is None else list(self.terms),
+            "estimator": self.estimator,
+            "seconds": self.seconds,
         }
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Task:
         """Read what :meth:`to_json` wrote."""
-        model = data["model"]
+        model, terms = data["model"], data["terms"]
         return cls(
             str(data["kind"]),
             tuple(map(Path, data["recordings"])),
             tuple(map(Path, data["tests"])),
             None if model is None else Path(model),
+            None if terms is None else tuple(map(str, terms)),
+            data["estimator"],
+            data["seconds"],
         )
 
     @property
@@ -78,20 +92,27 @@ def do(task: Task) -> dict[str, Any]:
         from labhil.api.fit import fit
         from labhil.campaign.studies.curves import curves_of_fit
 
-        fitted = fit(task.recordings, **_given(task, "start"))
+        estimator = task.estimator or "hybrid"
+        fitted = fit(task.recordings, terms=task.terms, estimator=estimator, **_given(task, "start"))
         path = _write(first.parent, stem, "fit", fitted.to_dict(), curves_of_fit(fitted.study))
         return {"done": str(path), "verdict": fitted.statement}
     from labhil.api.diagnosis import diagnose
     from labhil.campaign.studies.curves import curves_of_diagnosis
 
-    found = diagnose(task.recordings, **_given(task, "reference"))
+    found = diagnose(task.recordings, baseline=task.terms, **_given(task, "reference"))
     path = _write(first.parent, stem, "diagnosis", found.to_dict(), curves_of_diagnosis(found.study))
     return {"done": str(path)}
 
 
 def _given(task: Task, model: str) -> dict[str, Any]:
     """What the task gives a fit or a diagnosis; ``model`` is the name of the model's argument."""
-    return {"test": task.tests or None, model: task.model, "progress": progress, "warn": _warn}
+    return {
+        "test": task.tests or None,
+        model: task.model,
+        "seconds": task.seconds,
+        "progress": progress,
+        "warn": _warn,
+    }
 
 
 def _warn(lines: Iterable[str]) -> None:
@@ -143,13 +164,22 @@ def main() -> int:
     """Run the process; returns its exit status."""
     told = told_first()
     # nothing is half done where a name is taken only by what is whole, so there is nothing to tidy up
-    on_further_lines(lambda _line: None, lambda: os._exit(CANCELLED))
+    on_further_lines(_end_early, lambda: os._exit(CANCELLED))
     try:
         say(do(Task.from_json(told)))
     except LabhilError as error:
         say({"failed": str(error)})
         return error.exit_status
+    except KeyboardInterrupt:
+        say({"failed": "ended before there was a result"})
+        return CANCELLED
     return 0
+
+
+def _end_early(line: Mapping[str, Any]) -> None:
+    """End with the best so far, as Ctrl+C does at the command line."""
+    if line.get("end"):
+        os.kill(os.getpid(), signal.SIGINT)
 
 
 if __name__ == "__main__":

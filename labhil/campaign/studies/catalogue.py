@@ -1,0 +1,80 @@
+"""What a fit or a diagnosis of a rig kind may be asked for, in a process of its own.
+
+Reading models takes seconds. ``python -m labhil.campaign.studies.catalogue`` is told a rig kind in one line
+and answers in one.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from labhil.campaign.studies.process import on_further_lines, say, told_first
+from labhil.errors import LabhilError
+
+MODULE = "labhil.campaign.studies.catalogue"
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """A term in the catalogue's words."""
+
+    name: str
+    statement: str
+    equation: str
+    revealed_by: str
+    needs: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Catalogue:
+    """The terms of a rig kind, those that are taken where nobody says otherwise, and the estimators."""
+
+    baseline: tuple[str, ...]
+    general: tuple[str, ...]
+    effects: tuple[Effect, ...]
+    estimators: tuple[str, ...]
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Catalogue:
+        """Read what this process answers; the same law of several joints is one term."""
+        effects = {
+            term["term"]: Effect(
+                term["term"],
+                term["statement"],
+                term["equation"],
+                term["revealed_by"],
+                tuple(term["needs"]),
+            )
+            for term in data["terms"]
+        }
+        return cls(
+            tuple(data["baseline"]),
+            tuple(data["general"]),
+            tuple(effects.values()),
+            tuple(data["estimators"]),
+        )
+
+
+def main() -> int:
+    """Run the process; returns its exit status."""
+    rig = str(told_first()["rig"])
+    on_further_lines(lambda _line: None, lambda: os._exit(0))
+    from labhil.identify.estimators import DEFAULT, ESTIMATORS
+    from labhil.report.catalogue import catalogue_json
+
+    try:
+        (found,) = catalogue_json(rig)["rigs"].values()
+    except LabhilError as error:
+        say({"failed": str(error)})
+        return error.exit_status
+    others = [name for name in ESTIMATORS if name != DEFAULT]
+    say({"done": {**found, "estimators": [DEFAULT, *others]}})
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

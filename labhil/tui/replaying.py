@@ -1,0 +1,58 @@
+"""A replay as the live page shows it, and the keys that steer it."""
+
+from __future__ import annotations
+
+from rich.text import Text
+
+from labhil.bus.incoming import ReplayMessage
+from labhil.errors import LabhilError
+from labhil.service.replay import FASTEST, SLOWEST
+from labhil.tui.lab import Lab
+
+SPEEDS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+BACK = 10.0
+"""How far one key goes back, s of the recording."""
+
+
+def replay_line(replay: ReplayMessage, colours: dict[str, str]) -> Text:
+    """What is played, where it is, and which keys do something now."""
+    sign, word = ("■", "ENDED") if replay.ended else ("‖", "PAUSED") if replay.paused else ("↻", "REPLAY")
+    text = Text(no_wrap=True, overflow="ellipsis")
+    text.append(f"{sign} {word} ", style=f"bold {colours['accent']}")
+    text.append(f"{replay.position:.1f} of {replay.duration:.1f} s", style="bold")
+    text.append(f" × {replay.speed:g}  ")
+    goes = "k plays it again" if replay.ended else "k goes on" if replay.paused else "k pauses"
+    text.append(f"{goes}, < > speed, j back  ", style=colours["muted"])
+    return text.append(replay.path.removesuffix(".mcap"), style=colours["muted"])
+
+
+def next_speed(speed: float, way: int) -> float:
+    """The speed above or below, of a row of round ones."""
+    row = [s for s in SPEEDS if (s > speed * 1.001 if way > 0 else s < speed * 0.999)]
+    chosen = speed if not row else row[0] if way > 0 else row[-1]
+    return min(max(chosen, SLOWEST), FASTEST)
+
+
+def steer(lab: Lab, action: str, way: int = 0) -> str:
+    """Do what a key asks of every replay in reach; waits for their answers.
+
+    Args:
+        lab: Where they are.
+        action: "toggle", "speed" or "back".
+        way: Faster (1) or slower (-1).
+
+    Returns:
+        What went wrong; empty where nothing did.
+    """
+    for endpoint, replay in lab.replays():
+        try:
+            if action == "toggle":
+                held = replay.paused or replay.ended
+                lab.control_replay(endpoint, "play" if held else "pause")
+            elif action == "speed":
+                lab.control_replay(endpoint, "speed", next_speed(replay.speed, way))
+            else:
+                lab.control_replay(endpoint, "seek", max(replay.position - BACK, 0.0))
+        except LabhilError as error:
+            return str(error)
+    return ""

@@ -1,0 +1,109 @@
+"""One stream as it comes in to a screen: its newest samples, how regularly they come, what is missing."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from labhil.codec import Codec
+from labhil.host_clock import steady_ns
+from labhil.recording.stamps import HOST_CLOCK
+from labhil.signals import FloatArray, Stream
+from labhil.tui.ring import Ring
+
+KEPT = 60.0
+"""How far back a plot can look, s of the host's clock."""
+
+MEASURED_OVER = 2.0
+"""Rate and delays are those of the newest samples of so many s of the host's clock."""
+
+SILENT_AFTER = 0.6
+"""A stream that sends nothing for so long is marked as silent, s; slow streams after five periods."""
+
+MOST_ROWS = 65536
+
+
+@dataclass(frozen=True, slots=True)
+class Beat:
+    """How regularly a stream comes in.
+
+    ``rate`` is measured (samples per s of the host's clock), None while there are too few; ``age`` is s
+    since the newest sample came; ``silent`` is whether that is too long. ``transit`` is from acquisition on
+    the host to here, ``lateness`` by how much the slowest sample was later at the host than the quickest,
+    by the device's clock; both s.
+    """
+
+    rate: float | None
+    age: float
+    silent: bool
+    gaps: int
+    received: int
+    transit: float | None
+    lateness: float | None
+
+
+@dataclass(slots=True)
+class StreamWatch:
+    """One stream as it comes in."""
+
+    stream: Stream
+    speed: float
+    metadata: Mapping[str, str]
+    codec: Codec = field(init=False)
+    ring: Ring = field(init=False)
+    received: int = 0
+    gaps: int = 0
+    last_seq: int | None = None
+    arrived_at: float = 0.0
+    transits: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=512))
+
+    def __post_init__(self) -> None:
+        self.codec = Codec(self.stream)
+        rows = round(self.stream.rate * self.speed * KEPT * 1.1)
+        self.ring = Ring(self.stream.width, min(max(rows, 1024), MOST_ROWS))
+
+    @property
+    def ahead_ns(self) -> int:
+        """By how much the clock that stamps the samples is ahead of this machine's wall clock, ns.
+
+        The wall clock may have been set since the session of the device began, its clock not.
+        """
+        offset = self.metadata.get(HOST_CLOCK)
+        return 0 if offset is None else steady_ns() + int(offset) - time.time_ns()
+
+    def take(self, payloads: list[bytes], now: float, now_ns: int) -> None:
+        """Take messages in."""
+        batch = self.codec.decode(payloads)
+        seq = batch.seq
+        before = self.last_seq if self.last_seq is not None else int(seq[0]) - 1
+        self.gaps += int(np.maximum(np.diff(seq, prepend=before) - 1, 0).sum())
+        self.last_seq = int(seq[-1])
+        self.received += len(batch)
+        self.arrived_at = now
+        self.transits.append((now, (now_ns + self.ahead_ns - int(batch.t_acq_ns[-1])) * 1e-9))
+        self.ring.append(batch)
+
+    def beat(self, now: float) -> Beat:
+        """How regularly it came in lately; times on the monotonic clock, s."""
+        age = now - self.arrived_at
+        silent = age > max(SILENT_AFTER, 5.0 / (self.stream.rate * self.speed))
+        t_acq, t_hw, _ = self.ring.newest(MEASURED_OVER)
+        rate = lateness = None
+        if len(t_acq) > 2 and t_acq[-1] > t_acq[0] and not silent:
+            rate = (len(t_acq) - 1) / ((t_acq[-1] - t_acq[0]) * 1e-9)
+            delays = (t_acq - t_acq[0]) - (t_hw - t_hw[0]) / self.speed
+            lateness = float(delays.max() - delays.min()) * 1e-9
+        recent = [transit for at, transit in self.transits.copy() if now - at < MEASURED_OVER]
+        transit = float(np.median(recent)) if recent and not silent else None
+        return Beat(rate, age, silent, self.gaps, self.received, transit, lateness)
+
+
+def trace(watched: StreamWatch, signal: str, seconds: float, now_ns: int) -> tuple[FloatArray, FloatArray]:
+    """The newest ``seconds`` of a signal: s before ``now_ns`` (n,), negative, and values (n, columns)."""
+    t_acq, _, values = watched.ring.newest(seconds)
+    ago: FloatArray = (t_acq - (now_ns + watched.ahead_ns)).astype(np.float64) * 1e-9
+    return ago, values[:, watched.stream.columns_of(signal)]
