@@ -5,10 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import Executor
 
+import numpy as np
+
 from labhil.diagnose.evidence import bic, effective_samples
 from labhil.diagnose.judge import NEEDED_BIC, Data
 from labhil.identify.fitted import Fitted, fit_terms, with_only
+from labhil.identify.problem import Problem
 from labhil.identify.waves import starts_beside
+from labhil.identify.window_states import FIRST_GROWN, grow_states
+from labhil.identify.windows import fit_windows
 from labhil.physics.model import Model
 
 ROUGHLY = 1e-4
@@ -93,6 +98,20 @@ def refit(
         hopeless=hopeless,
         held=data.held,
     )
+
+
+def on_windows(data: Data, fitted: Fitted) -> Fitted:
+    """Refit on the data's windows and noise, beginning at states that fit these with the parameters kept."""
+    old = fitted.problem
+    if abs(fitted.window - data.window) < 1e-9 and np.array_equal(old.sigma, data.sigma):
+        return fitted
+    windows = fit_windows(data.search, data.window)
+    problem = Problem(old.model, data.search, windows, old.free, fitted.theta, data.sigma)
+    states = grow_states(problem, fitted.solution.point.z, FIRST_GROWN * data.model.horizon)
+    return fit_terms(
+        data.model, data.search, fitted.terms, data.window, data.sigma, start=fitted.theta, new_terms=(),
+        states=states, iterations=25, tolerance=1e-4, held=data.held,
+    )  # fmt: skip
 
 
 def without(model: Model, terms: Sequence[str], term: str) -> tuple[str, ...]:

@@ -11,10 +11,11 @@ import numpy as np
 
 from labhil.diagnose.evidence import effective_samples
 from labhil.diagnose.judge import NEEDED_BIC, Data
+from labhil.diagnose.structures.enumerate import candidates
 from labhil.identify.fitted import Fitted
 from labhil.identify.projection import Unexplained, orthonormal
 from labhil.identify.waves import starts_beside
-from labhil.physics.model import Model, index_of, terms_named
+from labhil.physics.model import index_of, terms_named
 from labhil.physics.terms import listed
 from labhil.signals import FloatArray
 
@@ -59,12 +60,6 @@ def rank(
         if not set(groups[i]) & set(groups[j])
     ]
     return sorted(single, key=lambda c: -c.share), sorted(pairs, key=lambda c: -c.share)
-
-
-def candidates(model: Model, present: Sequence[str]) -> list[tuple[str, ...]]:
-    """Every absent term, together with those that it builds on (Stribeck friction on Coulomb friction)."""
-    absent = [name for name in model.terms if name not in present]
-    return [(*(t for t in model.terms[name].with_terms if t in absent), name) for name in absent]
 
 
 @dataclass(frozen=True, slots=True)

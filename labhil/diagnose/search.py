@@ -17,7 +17,8 @@ from labhil.diagnose.foretold import compare
 from labhil.diagnose.found import Found, Trail
 from labhil.diagnose.judge import ALPHA, Data, supported
 from labhil.diagnose.refit import confirm, finish_best, refit
-from labhil.diagnose.screen import Candidate, Progress, candidates, rank
+from labhil.diagnose.screen import Candidate, Progress, rank
+from labhil.diagnose.structures.enumerate import candidates
 from labhil.diagnose.weigh import ON_THE_WAY, pruned, relevant, supported_only, swapped
 from labhil.ending import EndedEarly, accept
 from labhil.identify.fitted import WORST_GROWTH, Fitted, climb

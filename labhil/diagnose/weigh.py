@@ -13,7 +13,8 @@ from labhil.diagnose.foretold import compare, foretold
 from labhil.diagnose.found import Rival, Step, Trail
 from labhil.diagnose.judge import NEEDED_BIC, Data, supported
 from labhil.diagnose.refit import FINALISTS, confirm, refit, without
-from labhil.diagnose.screen import Progress, Screen, candidates
+from labhil.diagnose.screen import Progress, Screen
+from labhil.diagnose.structures.enumerate import candidates
 from labhil.identify.fitted import Fitted, covariances
 from labhil.identify.known import Known
 from labhil.identify.statistics import nonzero

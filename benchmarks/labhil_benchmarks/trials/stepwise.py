@@ -19,7 +19,8 @@ from labhil.analysis.material import Material
 from labhil.diagnose.diagnosis import data_of, fit_baseline
 from labhil.diagnose.judge import Data
 from labhil.diagnose.refit import refit
-from labhil.diagnose.screen import Screen, candidates
+from labhil.diagnose.screen import Screen
+from labhil.diagnose.structures.enumerate import candidates
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import score, scored_horizon
 from labhil.identify.table import table_of

@@ -20,11 +20,24 @@ import numpy as np
 from scipy.fft import dct
 
 from labhil.diagnose.structures.marginal import Grams, View, grams
+from labhil.identify.noise import CORRELATIONS, Noise
 from labhil.identify.problem import Linearised, Problem
 from labhil.signals import FloatArray
 
 CORNER = 0.67
 """Cycles per scored horizon up to which the response to a random force is flat."""
+
+SLOW = 4
+"""One of so many parts of a spectrum, the slowest one, says nothing of noise."""
+
+TORQUE_SIZES = np.array([0.0, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0])
+"""Of a slow torque in each part of the spectrum, in units of the noise there."""
+
+TORQUE_CORNERS = np.array([0.1, 0.3, 1.0, 3.0, 10.0])
+"""Hz up to which it is flat."""
+
+MEDIAN = 0.4549
+"""Median of the square of a normal variable of unit variance. By medians few windows count for little."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +46,11 @@ class Disturbance:
 
     size: FloatArray
     weight: FloatArray
+
+    @classmethod
+    def estimated(cls, candidates: int) -> Disturbance:
+        """None, or about the size that was estimated, by factors."""
+        return cls.grid(candidates, (0.3, 1.0, 3.0))
 
     @classmethod
     def grid(
@@ -54,7 +72,10 @@ def inner_products(
     """Inner products of columns (N·c, m), the windows' states taken out, under every disturbance."""
     states = spectra(problem, whitened(problem, lin.by_states, correlation))
     columns = spectra(problem, whitened(problem, matrix, correlation))
-    strength = response_to_a_force(problem) if problem.model.state_names else np.zeros(len(columns))
+    if problem.model.state_names:
+        strength = response_to_a_force(problem)
+    else:
+        strength = torque_that_lasts(problem, lin.residuals)
     views = [_view(problem, lin, states, columns, tau * strength) for tau in disturbance.size]
     rho = float(np.mean(correlation))
     telling = min(1.0, problem.telling * (1.0 + rho) / (1.0 - rho))
@@ -70,7 +91,8 @@ def _view(
     weight = 1.0 / np.sqrt(1.0 + disturbed**2)
     weighted = replace(lin, by_states=states * weight[:, None])
     seen = problem.project(weighted, columns * weight[:, None])
-    free = float(np.sum(np.linalg.slogdet(problem.state_gram(weighted.by_states))[1])) if states.size else 0.0
+    gram = problem.state_gram(weighted.by_states)
+    free = float(np.sum(np.linalg.slogdet(gram + np.eye(gram.shape[-1]))[1])) if states.size else 0.0
     return View(seen.T @ seen, float(np.sum(np.log(weight))) - 0.5 * free)
 
 
@@ -88,7 +110,7 @@ def whitened(problem: Problem, columns: FloatArray, correlation: FloatArray) -> 
 
 def spectra(problem: Problem, columns: FloatArray) -> FloatArray:
     """Columns (N·c, k) with each window of each channel in its orthonormal cosine transform."""
-    if not problem.model.state_names:
+    if not columns.size:
         return columns
     rows = columns.reshape(-1, len(problem.sigma), columns.shape[1])
     found = np.empty_like(rows)
@@ -107,6 +129,61 @@ def response_to_a_force(problem: Problem) -> FloatArray:
     return np.repeat(strength, len(problem.sigma))
 
 
+def noise_beside(problem: Problem, residuals: FloatArray) -> Noise:
+    """Noise of each channel beside what a model lacks, told apart by its spectrum.
+
+    A model that lacks something leaves slow errors, noise quick ones. Size and correlation are those under
+    which the quicker parts of the spectrum of the windows' residuals (N·c,) are likeliest (Whittle 1953).
+    """
+    channels, edges = len(problem.sigma), np.array(_edges(problem))
+    spectrum = spectra(problem, residuals[:, None])[:, 0].reshape(-1, channels) ** 2
+    counts = np.diff(edges)
+    n = int(counts.min())
+    skipped = max(n // SLOW, len(problem.model.state_names))
+    rows = (edges[:-1, None] + np.arange(skipped, n)).ravel()
+    power = np.median(spectrum[rows].reshape(len(counts), n - skipped, channels), axis=0) / MEDIAN
+    shapes = _noise_shapes(n)[:, skipped:]
+    scale = np.mean(power.T[:, None, :] / shapes, axis=2)
+    best = np.argmin(np.log(scale) + np.mean(np.log(shapes), axis=1), axis=1)
+    return Noise(problem.sigma * np.sqrt(scale[np.arange(channels), best]), CORRELATIONS[best])
+
+
+def _noise_shapes(count: int) -> FloatArray:
+    """Spectra (R, count) of noise of unit variance with each of the correlations of neighbours."""
+    rho = CORRELATIONS[:, None]
+    angle = np.pi * np.arange(count) / count
+    return np.asarray((1.0 - rho**2) / (1.0 - 2.0 * rho * np.cos(angle) + rho**2))
+
+
+def torque_that_lasts(problem: Problem, residuals: FloatArray) -> FloatArray:
+    """Standard deviation (N·c,) in each part of the spectra of what inverse dynamics leaves of each joint.
+
+    There a missing torque is among the residuals as it is, and each joint has its own. It is taken for a
+    process of first order beside white noise, with the size and corner under which the spectrum is likeliest
+    (Whittle 1953).
+    """
+    power = spectra(problem, residuals[:, None])[:, 0].reshape(-1, len(problem.sigma)) ** 2
+    frequency = np.concatenate(
+        [np.arange(b - a) / (2.0 * (b - a) * problem.record.period) for a, b in pairwise(_edges(problem))]
+    )
+    lasting = 1.0 / (1.0 + (frequency / TORQUE_CORNERS[:, None]) ** 2)
+    shapes = 1.0 + TORQUE_SIZES[:, None, None] ** 2 * lasting
+    strength = np.empty_like(power)
+    for c in range(power.shape[1]):
+        scale = np.mean(power[:, c] / shapes, axis=2)
+        unlikely = np.log(scale) + np.mean(np.log(shapes), axis=2)
+        size, corner = np.unravel_index(np.argmin(unlikely), unlikely.shape)
+        strength[:, c] = TORQUE_SIZES[size] * np.sqrt(lasting[corner])
+    return np.asarray(strength.ravel())
+
+
 def _edges(problem: Problem) -> list[int]:
-    """First row of each window, and the one after the last."""
-    return [*(problem.edges // len(problem.sigma)).tolist(), len(problem.windows.owner)]
+    """First row of each stretch that is taken apart by itself, and the one after the last.
+
+    Those are windows, for each begins in a state of its own; where there are no states, all between two gaps.
+    """
+    rows = problem.windows.rows
+    if problem.model.state_names:
+        return [*(problem.edges // len(problem.sigma)).tolist(), len(rows)]
+    apart = np.diff(problem.record.t[rows]) > 1.5 * problem.record.period
+    return [0, *(np.flatnonzero(apart) + 1).tolist(), len(rows)]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import comb, inf, log
+from operator import attrgetter
 
 import numpy as np
 
@@ -32,21 +33,22 @@ class BeamOptions:
     """How far the enumeration goes.
 
     Attributes:
-        width: structures of each size that are extended by one more term.
+        width: structures of each size that are extended by one more term, by either evidence.
         variants: ways of a term to act that larger structures try, the best ones by themselves.
         most_terms: size at which the search ends in any case.
-        hopeless: nats behind the best structure at which a size is not extended any more.
+        patience: sizes in a row without a better structure after which it ends: two terms may help together
+            of which neither does by itself.
     """
 
     width: int = 40
     variants: int = 2
     most_terms: int = 24
-    hopeless: float = 30.0
+    patience: int = 2
 
 
 @dataclass(frozen=True, slots=True)
 class Predicted:
-    """A structure with its log evidence as one linearisation predicts it, and values by parameter key.
+    """A structure with its log evidence as one linearisation predicts it, and the ``sizes`` of its responses.
 
     ``undisturbed`` is the same where no disturbance is possible.
     """
@@ -54,14 +56,26 @@ class Predicted:
     structure: Structure
     log_evidence: float
     undisturbed: float
-    values: Mapping[str, float]
-    choice: Choice = ()
+    choice: Choice
+    sizes: FloatArray
+
+
+EVIDENCES: tuple[Callable[[Predicted], float], ...] = (
+    attrgetter("log_evidence"),
+    attrgetter("undisturbed"),
+)
 
 
 def relevance(without: float, remains: float) -> float:
     """What a term explains over what remains beside it, of the mean squares with and without it."""
     beyond_noise = remains - KNOWN_NOISE**2
     return (without - remains) / beyond_noise if beyond_noise > 0.0 else inf
+
+
+def candidates(model: Model, present: Sequence[str]) -> list[tuple[str, ...]]:
+    """Every absent term, together with those that it builds on (Stribeck friction on Coulomb friction)."""
+    absent = [name for name in model.terms if name not in present]
+    return [(*(t for t in model.terms[name].with_terms if t in absent), name) for name in absent]
 
 
 def closed(model: Model, terms: Iterable[str], baseline: frozenset[str]) -> Structure:
@@ -90,6 +104,7 @@ class Enumeration:
     baseline: frozenset[str]
     candidates: int
     options: BeamOptions = field(default_factory=BeamOptions)
+    known: dict[frozenset[int], float] = field(default_factory=dict)
 
     def evaluate(self, choices: Sequence[Choice]) -> list[Predicted]:
         """Return each structure with its log evidence, prior included, in the order given."""
@@ -107,16 +122,21 @@ class Enumeration:
 
         Both are mean squares, beyond the noise. Terms that others of the structure build on are left out.
         """
-        places = {v.term: list(v.places) for v in choice}
-        rest = self.responses.grams.rest
-        remains = rest([p for own in places.values() for p in own])
-        terms = [self.model.terms[term] for term in places if term in self.model.terms]
+        remains = self._rest(choice)
+        terms = [self.model.terms[v.term] for v in choice if v.term in self.model.terms]
         carried = {t for term in terms for t in term.with_terms}
-        without = {
-            term: rest([p for t, own in places.items() if t != term for p in own])
-            for term in places.keys() - carried
+        return {
+            v.term: relevance(self._rest([other for other in choice if other is not v]), remains)
+            for v in choice
+            if v.term not in carried
         }
-        return {term: relevance(left, remains) for term, left in without.items()}
+
+    def _rest(self, choice: Sequence[Variant]) -> float:
+        """Mean square that a structure leaves, as responses predict it; asked for many times over."""
+        key = frozenset(v.first for v in choice)
+        if key not in self.known:
+            self.known[key] = self.responses.grams.rest([p for v in choice for p in v.places])
+        return self.known[key]
 
     def best(self) -> dict[Structure, Predicted]:
         """Return the best way of every structure that the beam reaches, the empty one included."""
@@ -124,25 +144,34 @@ class Enumeration:
         reached = dict[Structure, Predicted]()
         beam = self._seeds()
         self._note(reached, self.evaluate(beam))
+        waited = 0
         for _ in range(self.options.most_terms):
             extended = self._extended(beam, order, reached)
             if not extended:
                 break
-            ranked = sorted(self.evaluate(extended), key=lambda p: -p.log_evidence)
-            top = max(p.log_evidence for p in reached.values())
-            self._note(reached, ranked)
-            if ranked[0].log_evidence < top - self.options.hopeless:
+            found = self.evaluate(extended)
+            tops = [max(of(p) for p in reached.values()) for of in EVIDENCES]
+            self._note(reached, found)
+            better = any(max(of(p) for p in found) > top for of, top in zip(EVIDENCES, tops, strict=True))
+            waited = 0 if better else waited + 1
+            if waited == self.options.patience:
                 break
-            first = {p.structure: p.choice for p in reversed(ranked)}
-            beam = [first[s] for s in dict.fromkeys(p.structure for p in ranked)][: self.options.width]
+            beam = list(
+                {_key(choice): choice for of in EVIDENCES for choice in self._first(found, of)}.values()
+            )
         return reached
+
+    def _first(self, found: Sequence[Predicted], evidence: Callable[[Predicted], float]) -> list[Choice]:
+        """The best way of each of the structures with the most evidence of a kind."""
+        ranked = sorted(found, key=evidence, reverse=True)
+        first = {p.structure: p.choice for p in reversed(ranked)}
+        return [first[s] for s in dict.fromkeys(p.structure for p in ranked)][: self.options.width]
 
     def _predicted(self, choice: Choice, value: float, undisturbed: float, sizes: FloatArray) -> Predicted:
         structure = frozenset(v.term for v in choice)
         ways = sum(log(len(self.responses.variants[v.term])) for v in choice)
         prior = log_prior(self.model, structure, self.candidates) - ways
-        values = self.responses.sizes(choice, sizes)
-        return Predicted(structure, float(value + prior), float(undisturbed + prior), values, choice)
+        return Predicted(structure, float(value + prior), float(undisturbed + prior), choice, sizes)
 
     @staticmethod
     def _note(reached: dict[Structure, Predicted], found: Iterable[Predicted]) -> None:

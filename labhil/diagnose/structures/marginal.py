@@ -4,13 +4,15 @@ Residuals r (simulated − measured, in units of noise) are
 
     r = y + S·s + B·b + X·x,        r ~ N(0, σ²C),
 
-with the responses S of the windows' states and B of the baseline (flat priors on s and b), and those X of the
-structure's terms. The covariance C is that of noise and a lasting disturbance (disturbance.py) of size τ,
-which is summed out over a grid that includes zero. A term's sizes have a unit-information prior (Kass and
-Wasserman 1995): the response of its block has an RMS of κ noise levels, κ on a grid. The noise's scale is
-unknown. With G = XᵀX and b = Xᵀy, both beside S and B and under C,
+with the responses S of the windows' states and B of the baseline, and those X of the structure's terms.
+States and sizes of the baseline have priors as wide as their scales, far wider than data leave them: it
+counts only where one stops to show, else a model that makes it invisible would be rewarded. The covariance C
+is that of noise and a lasting disturbance (disturbance.py) of size τ, which is summed out over a grid that
+includes zero. A term's sizes have a unit-information prior (Kass and Wasserman 1995): the response of its
+block has an RMS of κ noise levels, κ on a grid. The noise's scale is unknown. With G = XᵀX and b = Xᵀy, both
+beside S and B and under C,
 
-    log p(y | S, τ) = −½ log|C| − ½ log|SᵀC⁻¹S| − ½ log|BᵀB| − ½ log|G + L| + ½ log|L|
+    log p(y | S, τ) = −½ log|C| − ½ log|SᵀC⁻¹S + I| − ½ log|BᵀB + I| − ½ log|G + L| + ½ log|L|
                       − ½ν·log(yᵀy − bᵀ(G + L)⁻¹b),
 
 plus log 2Φ(m/s) for each size that cannot be negative (O'Hagan and Forster 2004, ch. 11).
@@ -35,7 +37,7 @@ class View:
     """Inner products (M, M) of columns under one size of the disturbance.
 
     The states of the windows are taken out; ``log_density`` is what does not depend on the structure:
-    −½ log|C| − ½ log|SᵀC⁻¹S| with the covariance C of noise and disturbance and the states' responses S.
+    −½ log|C| − ½ log|SᵀC⁻¹S + I| with the covariance C of noise and disturbance and the states' responses S.
     """
 
     products: FloatArray
@@ -110,10 +112,10 @@ def grams(
     for view, weight in zip(views, log_prior, strict=True):
         inner = view.products[np.ix_(own, own)]
         scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
-        inner = inner / np.outer(scale, scale) + LEAST * np.eye(baseline)
+        alike = inner / np.outer(scale, scale) + LEAST * np.eye(baseline)
         across = view.products[np.ix_(own, kept)] / scale[:, None]
-        seen.append(view.products[np.ix_(kept, kept)] - across.T @ np.linalg.solve(inner, across))
-        log_det = float(np.linalg.slogdet(inner)[1]) + 2.0 * float(np.sum(np.log(scale)))
+        seen.append(view.products[np.ix_(kept, kept)] - across.T @ np.linalg.solve(alike, across))
+        log_det = float(np.linalg.slogdet(inner + np.eye(baseline))[1])
         logs.append(weight + view.log_density - 0.5 * log_det)
     raw = plain[np.ix_(kept, kept)]
     rows = (samples, left - baseline, dof - baseline)

@@ -166,7 +166,8 @@ def responses(
         placed.setdefault(way.term, []).append(Variant(way.term, first, keys, unit, shape, positive, way.at))
         first += len(keys)
         priors.append(way.precision)
-    disturbance = Disturbance.grid(len(data.model.terms) - len(baseline))
+    possible = len(data.model.terms) - len(baseline)
+    disturbance = Disturbance.grid(possible) if data.model.state_names else Disturbance.estimated(possible)
     plain = inner_products(problem, lin, matrix, len(shared), correlation, disturbance)
     seen = plain.with_precisions([(v.places, prior) for v, prior in zip(_flat(placed), priors, strict=True)])
     kept = {term: _visible(seen, of, term in fitted.terms) for term, of in placed.items()}

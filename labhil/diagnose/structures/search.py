@@ -2,42 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from itertools import islice
 
 import numpy as np
 
 from labhil.cores import cores
 from labhil.diagnose.collapsed import given_way
-from labhil.diagnose.evidence import Evidence, best_heldout_gain
-from labhil.diagnose.found import Found, Step
-from labhil.diagnose.judge import ALPHA, Data
-from labhil.diagnose.refit import without
-from labhil.diagnose.screen import Progress, candidates
+from labhil.diagnose.found import Found
+from labhil.diagnose.judge import Data
+from labhil.diagnose.refit import on_windows, without
+from labhil.diagnose.structures.claims import Stage, borne_out, concluded, predicts_better
 from labhil.diagnose.structures.curves import CurveSearch
-from labhil.diagnose.structures.enumerate import RELEVANCE, Enumeration, Predicted, Structure, closed
+from labhil.diagnose.structures.disturbance import noise_beside
+from labhil.diagnose.structures.enumerate import (
+    RELEVANCE,
+    Enumeration,
+    Predicted,
+    Structure,
+    candidates,
+    relevance,
+)
 from labhil.diagnose.structures.responses import responses
 from labhil.diagnose.structures.state import (
     Refitted,
     SearchState,
-    inclusion,
     least_relevance,
-    log_odds,
-    rivals_of,
 )  # fmt: skip
 from labhil.ending import EndedEarly, accept
 from labhil.identify.fitted import Fitted, fit_terms, with_only
-from labhil.identify.noise import lasting_noise
-from labhil.identify.problem import Problem
-from labhil.identify.score import Score
+from labhil.identify.noise import MOST
 from labhil.identify.waves import starts_beside
-from labhil.identify.window_states import FIRST_GROWN, grow_states
-from labhil.identify.windows import fit_windows
+from labhil.identify.windows import noise_of
 from labhil.physics.extra_force import Yielding
 from labhil.physics.model import index_of
 from labhil.signals import FloatArray
+
+Progress = Callable[[str], None]
 
 CURVE_WINDOW = 1.5
 """Scored horizons of the windows on which curves are weighed: on longer ones few are linear enough."""
@@ -55,8 +57,11 @@ class Options:
         claim: odds (nats) that the best structure needs over the one without a term.
         relevance: what a term explains over what no term does, at least: mean squares beyond the noise. An
             effect that is smaller than what is missing beside it cannot be told from that.
-        few: terms beside the best structure's up to which one is refitted for what it promises where nothing
-            disturbs: from afar a linear response understates a term, but many of them stand in for anything.
+        step: what a structure has to explain of what the one before it leaves, over what remains, to be gone
+            on from: of four effects that are missing alike one explains a third of what the others do.
+        few: terms more than those of the fit where responses were taken, up to which a structure is refitted.
+        climbed: terms up to which the best structure's parts are looked at, too: of more of them the whole
+            was reached by way of these.
     """
 
     horizons: tuple[float, ...] = (0.375, 1.5, 3.0)
@@ -65,35 +70,24 @@ class Options:
     margin: float = 5.0
     claim: float = 5.0
     relevance: float = RELEVANCE
+    step: float = 1.0 / 3.0
     few: int = 2
+    climbed: int = 4
 
 
 OUTWEIGHED = np.sqrt(2.0)
 """Noise levels that a stage's best structure leaves from which what is missing outweighs the noise: longer
 windows would add up more of that, and show no more of what acts slowly."""
 
-LEADING = 3
-"""Structures of a stage with which the next one begins, at most, beside the baseline."""
+EvidenceOf = Callable[[Refitted | Predicted], float]
 
 
-@dataclass(frozen=True, slots=True)
-class Stage:
-    """What a search visited on windows of one length."""
+def _with_disturbance(of: Refitted | Predicted) -> float:
+    return of.log_evidence
 
-    data: Data
-    state: SearchState
 
-    @property
-    def remains(self) -> float:
-        """Noise levels that the best structure leaves."""
-        return self.state.refitted[self.state.best].fitted.noise
-
-    @property
-    def leading(self) -> list[Fitted]:
-        """The baseline and the likeliest structures."""
-        by_evidence = sorted(self.state.refitted, key=lambda s: -self.state.refitted[s].log_evidence)
-        chosen = dict.fromkeys([frozenset[str](), *by_evidence[:LEADING]])
-        return [self.state.refitted[structure].fitted for structure in chosen]
+def _undisturbed(of: Refitted | Predicted) -> float:
+    return of.undisturbed
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,23 +116,86 @@ class StructureSearch:
         state = SearchState(least=self.options.relevance)
         for fitted in begin:
             self._enter(state, fitted)
-        looked = set[Structure]()
-        for _ in range(self.options.rounds):
-            best = state.best
-            if best not in looked:
-                looked.add(best)
-                near = state.refitted[best].fitted
-                self.progress(f"evidence of all structures beside {', '.join(near.terms)}")
-                state.view = self._at(near)
-                state.predicted = state.view.best()
-                self._refit_narrowed(state)
-            if not self._refit_promising(state) and state.best in looked:
-                if not state.best:
-                    self._refit_singles(state)
-                if state.best in looked:
-                    break
+        self._settle(state)
+        if not state.likeliest:
+            self._refit_singles(state)
+            self._settle(state)
+        while len(state.likeliest) <= self.options.climbed and self._climb(state):
+            self._settle(state)
         self._drop_irrelevant(state)
+        if not state.best:
+            self._refit_singles(state)
         return state
+
+    def _settle(self, state: SearchState) -> None:
+        """Look at the best structure and refit what is likelier there, until that is the best one itself.
+
+        And at the one that would be best if nothing disturbed: from afar a disturbance stands in for several
+        effects of which none explains most by itself.
+        """
+        for _ in range(self.options.rounds):
+            new = False
+            for evidence in (_with_disturbance, _undisturbed):
+                best = state.most(evidence)
+                if best not in state.looked and self._leads_on(state, best):
+                    self._look(state, best)
+                    self._refit_narrowed(state, best)
+                    self._refit_promising(state, evidence)
+                    new = True
+            if not new:
+                break
+
+    def _leads_on(self, state: SearchState, structure: Structure) -> bool:
+        """Whether a structure explains enough of what the best one that was looked at leaves."""
+        if not state.looked:
+            return True
+        nearest = max(state.looked, key=lambda s: state.refitted[s].log_evidence)
+        left, remains = (state.refitted[s].fitted.noise ** 2 for s in (nearest, structure))
+        return relevance(left, remains) >= self.options.step
+
+    def _look(self, state: SearchState, structure: Structure) -> None:
+        """Linearise at a refitted structure, and compare all others there."""
+        near = state.refitted[structure].fitted
+        self.progress(f"evidence of all structures beside {', '.join(near.terms)}")
+        state.looked.add(structure)
+        state.view = self._at(near)
+        state.predicted = state.view.best()
+
+    def _climb(self, state: SearchState) -> bool:
+        """Look at structures with fewer terms than the best one, until one better is found; whether one was.
+
+        What two terms do together may be seen only where one of them is, and what takes the place of one only
+        where that is not.
+        """
+        before = state.likeliest
+        for size in range(1, len(before)):
+            likely = [p for s, p in state.predicted.items() if len(s) == size and s not in state.refitted]
+            if likely:
+                self._refit_predicted(state, max(likely, key=lambda p: p.log_evidence))
+            known = [s for s in state.refitted if len(s) == size]
+            if known and self._look_beside(state, max(known, key=lambda s: state.refitted[s].log_evidence)):
+                return True
+        for term in sorted(before):
+            reduced = frozenset(without(self.data.model, tuple(before), term))
+            if reduced not in state.refitted:
+                self._refit_and_enter(state, state.refitted[before].fitted, reduced, {})
+            if self._look_beside(state, reduced):
+                return True
+        return False
+
+    def _look_beside(self, state: SearchState, structure: Structure) -> bool:
+        """Look at another structure than the best one; whether a better one was found there."""
+        if structure in state.looked:
+            return False
+        before = state.likeliest
+        self._look(state, structure)
+        longer = [p for s, p in state.predicted.items() if structure < s and s not in state.refitted]
+        if longer:  # those that stand out from here by one more term, what that builds on included
+            fewest = min(len(p.structure) for p in longer)
+            beside = [p for p in longer if len(p.structure) == fewest]
+            self._refit_predicted(state, max(beside, key=lambda p: p.log_evidence))
+        self._refit_promising(state, _with_disturbance)
+        return state.likeliest != before
 
     def _refit_singles(self, state: SearchState) -> None:
         """Refit every single term beside a baseline far from the data, where responses tell little."""
@@ -149,20 +206,20 @@ class StructureSearch:
             structure = frozenset(terms)
             if structure not in state.refitted:
                 self.progress(f"refitting {', '.join(terms)}")
-                self._enter(state, self._refit(near, structure, state.values_of(structure)))
+                self._refit_and_enter(state, near, structure, state.values_of(structure))
 
     def _drop_irrelevant(self, state: SearchState) -> None:
         """Refit the likeliest structure without its terms that explain too little, the least one first."""
-        structure = max(state.refitted, key=lambda s: state.refitted[s].log_evidence)
+        structure = state.likeliest
         while least_relevance(shares := state.relevance(structure)) < state.least:
             near = state.refitted[structure]
             structure = structure - {min(shares, key=lambda term: shares[term])}
             if structure not in state.refitted:
-                self._enter(state, self._refit(near.fitted, structure, {}))
+                self._refit_and_enter(state, near.fitted, structure, {})
 
-    def _refit_narrowed(self, state: SearchState) -> None:
-        """Refit the best structure with what a term becomes without its width, begun at that term's size."""
-        model, best = self.data.model, state.best
+    def _refit_narrowed(self, state: SearchState, best: Structure) -> None:
+        """Refit a structure with what a term becomes without its width, begun at that term's size."""
+        model = self.data.model
         theta, places = state.refitted[best].fitted.theta, index_of(model.parameters)
         for term in best:
             narrow = model.terms[term].narrow
@@ -170,39 +227,51 @@ class StructureSearch:
                 continue
             size, own = (places[model.terms[key].parameters[0].key] for key in (narrow, term))
             values = {model.parameters[size].key: max(float(theta[own]), 0.0)}
-            self._enter(state, self._refit(state.refitted[best].fitted, (best - {term}) | {narrow}, values))
+            self._refit_and_enter(state, state.refitted[best].fitted, (best - {term}) | {narrow}, values)
 
     def _at(self, fitted: Fitted, absent: Sequence[str] | None = None) -> Enumeration:
         """What may be compared where a fit stands: its own terms, and all others or those ``absent``."""
         seen = responses(self.data, fitted, self.baseline, self.correlation, self.executor, absent=absent)
         return Enumeration(self.data.model, seen, frozenset(self.baseline), self.candidates)
 
-    def _refit_promising(self, state: SearchState) -> bool:
-        """Refit the most promising structures that were not refitted yet; whether there were any."""
-        likely = max(r.log_evidence for r in state.relevant.values())
-        plain = max(r.undisturbed for r in state.relevant.values())
-        most = len(state.best) + self.options.few
+    def _refit_promising(self, state: SearchState, evidence: EvidenceOf) -> None:
+        """Refit the most promising structures that were not refitted yet.
 
-        def promise(p: Predicted) -> float:
-            by_itself = p.undisturbed - plain if len(p.structure) <= most else -np.inf
-            return float(max(p.log_evidence - likely, by_itself))
-
-        new = [p for s, p in state.predicted.items() if s not in state.refitted]
-        promising = sorted((p for p in new if promise(p) > -self.options.margin), key=lambda p: -promise(p))
-        waiting = list(islice((p for p in promising if self._may_matter(state, p)), self.options.refits))
+        From afar many terms together stand in for anything: only a few more than those of the fit that was
+        looked at count, but where responses are what the model says, as of inverse dynamics.
+        """
+        least = evidence(state.refitted[state.most(evidence)]) - self.options.margin
+        new = [p for s, p in state.predicted.items() if s not in state.refitted and evidence(p) > least]
+        possible = [p for p in new if len(p.structure) <= self._most_terms(state)]
+        waiting = sorted(possible, key=evidence, reverse=True)[: self.options.refits]
         for predicted in waiting:
-            self.progress(f"refitting {', '.join(sorted(predicted.structure)) or 'the baseline'}")
-            near = state.refitted[state.best].fitted
-            self._enter(state, self._refit(near, predicted.structure, predicted.values))
-        return bool(waiting)
+            self._refit_predicted(state, predicted)
 
-    @staticmethod
-    def _may_matter(state: SearchState, p: Predicted) -> bool:
-        """Whether each term is predicted to explain enough; of one more term only its refit tells."""
-        one_more = len(p.structure - state.best) <= 1
-        return (
-            one_more or state.view is None or least_relevance(state.view.relevance(p.choice)) >= state.least
-        )
+    def _most_terms(self, state: SearchState) -> float:
+        """How many terms a structure may have to be refitted."""
+        if state.view is None or not self.data.model.state_names:
+            return np.inf
+        near = state.view.responses.fitted
+        return len(frozenset(near.terms) - frozenset(self.baseline)) + self.options.few
+
+    def _refit_predicted(self, state: SearchState, predicted: Predicted) -> None:
+        """Refit a structure from the fit where it was predicted, with the values that it has there."""
+        self.progress(f"refitting {', '.join(sorted(predicted.structure)) or 'the baseline'}")
+        assert state.view is not None
+        near = state.view.responses.fitted
+        self._refit_and_enter(state, near, predicted.structure, state.values_of(predicted.structure))
+
+    def _refit_and_enter(
+        self, state: SearchState, near: Fitted, structure: Structure, values: Mapping[str, float]
+    ) -> None:
+        """Refit a structure from a fit nearby, and where a part of it fits better, from that one, too."""
+        fitted = self._refit(near, structure, values)
+        parts = [r.fitted for s, r in state.refitted.items() if s < structure]
+        best = min(parts, key=lambda part: part.solution.cost, default=fitted)
+        if best.solution.cost < fitted.solution.cost:
+            again = self._refit(best, structure, values)
+            fitted = min((fitted, again), key=lambda each: each.solution.cost)
+        self._enter(state, fitted)
 
     def _refit(self, near: Fitted, structure: Structure, values: Mapping[str, float]) -> Fitted:
         """Fit a structure from where a fit stands, with these values by key."""
@@ -229,9 +298,23 @@ class StructureSearch:
         variants = own.responses.variants
         choice = tuple(variants[t][0] for t in fitted.terms if t in structure and t in variants)
         stands = own.evaluate([choice])[0]
+        # a size that runs to the end of what it can be says that the effect is none of its kind
+        possible = 0.0 if self._within_bounds(fitted, structure) else -np.inf
         state.refitted[structure] = Refitted(
-            fitted, stands.log_evidence, stands.undisturbed, choice, own, own.relevance(choice)
+            fitted,
+            stands.log_evidence + possible,
+            stands.undisturbed + possible,
+            choice,
+            own,
+            own.relevance(choice),
         )
+
+    def _within_bounds(self, fitted: Fitted, structure: Structure) -> bool:
+        """Whether no size of the added terms is at a bound other than zero."""
+        parameters, places = self.data.model.parameters, index_of(self.data.model.parameters)
+        sizes = [p for p in parameters if p.term in structure and not p.shape]
+        values = [float(fitted.theta[places[p.key]]) for p in sizes]
+        return not any(value and p.at_bound(value) for p, value in zip(sizes, values, strict=True))
 
 
 def search_structures(
@@ -239,21 +322,25 @@ def search_structures(
 ) -> Found:
     """Find the likeliest terms beside a fitted baseline, by one evidence."""
     options = options or Options()
-    correlation = lasting_noise(data.model, baseline.theta, data.search, data.sigma).correlation
+    data, correlation = _in_noise_beside(data, baseline)
     finished: list[Stage] = []
     complete = True
     try:
         nominal = {size.key: size.nominal for size in given_way(data, baseline)}
         with ThreadPoolExecutor(cores()) as executor:
-            for stage in _stages(data, options):
-                begin = finished[-1].leading if finished else [baseline]
+            for length in _lengths(data, options):
+                begin = [baseline]
+                if finished:
+                    begin = finished[-1].leading
+                    data, correlation = _in_noise_beside(data, finished[-1].best)
+                stage = replace(data, window=length)
                 if data.model.state_names:
                     begin = [on_windows(stage, fitted) for fitted in begin]
                 search = StructureSearch(
                     stage, baseline.terms, correlation, executor, progress, options, nominal
                 )
                 finished.append(Stage(stage, search.run(begin)))
-                if finished[-1].remains > OUTWEIGHED:
+                if finished[-1].best.noise > OUTWEIGHED:
                     break
     except EndedEarly:
         accept()
@@ -261,19 +348,27 @@ def search_structures(
     looks = len(candidates(data.model, baseline.terms))
     if not finished:
         return Found(baseline, baseline, (), (), 1.0, looks, complete=False)
-    found = replace(_concluded(finished[-1], options, looks), complete=complete)
+    found = replace(concluded(finished[-1], options.claim, looks), complete=complete)
     if found.missing and not predicts_better(*(data.judge(f.theta) for f in (found.baseline, found.final))):
         found = found.nothing
-    found = replace(found, missing=_validated(finished[-1], found))
+    found = borne_out(finished[-1], found)
     return _with_curve(data, found, finished[-1].data.window, correlation, progress) if complete else found
 
 
-def _stages(data: Data, options: Options) -> list[Data]:
-    """The data on the windows of each stage; inverse dynamics has no windows and one stage."""
+def _lengths(data: Data, options: Options) -> list[float]:
+    """Length (s) of the windows of each stage; inverse dynamics has no windows and one stage."""
     if not data.model.state_names:
-        return [data]
-    lengths = (min(h * data.model.horizon, data.search.longest) for h in options.horizons)
-    return [replace(data, window=length) for length in dict.fromkeys(lengths)]
+        return [data.window]
+    return list(dict.fromkeys(min(h * data.model.horizon, data.search.longest) for h in options.horizons))
+
+
+def _in_noise_beside(data: Data, fitted: Fitted) -> tuple[Data, FloatArray]:
+    """The data in units of the noise beside what a fit lacks, and the noise's correlation (c,)."""
+    if not data.model.state_names:
+        return data, np.zeros(len(data.sigma))
+    noise = noise_beside(fitted.problem, fitted.solution.residuals)
+    least = noise_of(data.search)
+    return replace(data, sigma=np.clip(noise.sigma, least, MOST * least)), noise.correlation
 
 
 def _with_curve(
@@ -295,11 +390,6 @@ def _with_curve(
     return replace(found.ending(_unplaced(shorter, curve.beside), steps), curve=curve)
 
 
-def predicts_better(before: Sequence[Score], after: Sequence[Score]) -> bool:
-    """Whether held-out data bear out a step: errors fall along it on windows of some length."""
-    return best_heldout_gain(before, after)[1] < ALPHA
-
-
 def _unplaced(data: Data, beside: Fitted) -> Fitted:
     """The fit beside a curve, of the model that other results are of."""
     if len(beside.problem.model.state_names) == len(data.model.state_names):
@@ -308,63 +398,3 @@ def _unplaced(data: Data, beside: Fitted) -> Fitted:
         data.model, data.search, beside.terms, data.window, data.sigma, start=beside.theta, starts=[{}],
         held=data.held,
     )  # fmt: skip
-
-
-def on_windows(data: Data, fitted: Fitted) -> Fitted:
-    """Refit on the data's windows, beginning at states that fit these with the parameters as they are."""
-    if abs(fitted.window - data.window) < 1e-9:
-        return fitted
-    old = fitted.problem
-    windows = fit_windows(data.search, data.window)
-    problem = Problem(old.model, data.search, windows, old.free, fitted.theta, old.sigma)
-    states = grow_states(problem, fitted.solution.point.z, FIRST_GROWN * data.model.horizon)
-    return fit_terms(
-        data.model, data.search, fitted.terms, data.window, data.sigma, start=fitted.theta, new_terms=(),
-        states=states, iterations=25, tolerance=1e-4, held=data.held,
-    )  # fmt: skip
-
-
-def _concluded(stage: Stage, options: Options, looks: int) -> Found:
-    """The best structure with its rivals; nothing where the data do not speak for it."""
-    state, model = stage.state, stage.data.model
-    base = state.refitted[frozenset()].fitted
-    best = state.best
-    claims = {term: log_odds(model, state, term) for term in best}
-    shares = inclusion(state)
-    steps = [_step(term, odds, shares[term]) for term, odds in claims.items() if odds > options.claim]
-    steps.sort(key=lambda s: s.evidence.delta_bic)
-    known = state.log_evidence()
-    p_value = float(np.exp(min(known[frozenset()] - known[best], 0.0)))
-    claimed = closed(model, (step.terms[0] for step in steps), frozenset(base.terms))
-    found = Found(base, _with_only(stage, claimed), tuple(steps), rivals_of(state, best), p_value, looks)
-    return found.ending(found.final, found.missing)
-
-
-def _with_only(stage: Stage, structure: Structure) -> Fitted:
-    """The best fit, without terms of which too little is known to claim them."""
-    state = stage.state
-    if structure in state.refitted:
-        return state.refitted[structure].fitted
-    data, near = stage.data, state.refitted[state.best].fitted
-    kept = [t for t in near.terms if t not in state.best or t in structure]
-    start = with_only(data.model, near.theta, kept)
-    return fit_terms(
-        data.model, data.search, kept, data.window, data.sigma, start=start, starts=[{}],
-        states=near.solution.point.states, held=data.held,
-    )  # fmt: skip
-
-
-def _step(term: str, odds: float, probability: float) -> Step:
-    """A claim as the searched data make it; held-out data are asked later."""
-    return Step((term,), Evidence(-2.0 * odds, 1.0, 0.0), float(np.exp(-odds)), True, probability)
-
-
-def _validated(stage: Stage, found: Found) -> tuple[Step, ...]:
-    """The steps with what held-out data gain by each: the final model against one without it, refitted."""
-    data, final, steps = stage.data, found.final, list[Step]()
-    for step in found.missing:
-        terms = without(data.model, final.terms, step.terms[0])
-        reduced = _with_only(stage, frozenset(terms) - frozenset(found.baseline.terms))
-        gain, p_value = best_heldout_gain(data.judge(reduced.theta), data.judge(final.theta))
-        steps.append(replace(step, evidence=Evidence(step.evidence.delta_bic, p_value, gain)))
-    return tuple(steps)

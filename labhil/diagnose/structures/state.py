@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -36,15 +36,25 @@ class SearchState:
     refitted: dict[Structure, Refitted] = field(default_factory=dict)
     predicted: dict[Structure, Predicted] = field(default_factory=dict)
     view: Enumeration | None = None
+    looked: set[Structure] = field(default_factory=set)
 
     @property
     def relevant(self) -> dict[Structure, Refitted]:
         """Refitted structures each of whose terms explains enough."""
         return {s: r for s, r in self.refitted.items() if least_relevance(self.relevance(s)) >= self.least}
 
+    def most(self, evidence: Callable[[Refitted], float]) -> Structure:
+        """The refitted structure with the most evidence of a kind."""
+        return max(self.refitted, key=lambda s: evidence(self.refitted[s]))
+
+    @property
+    def likeliest(self) -> Structure:
+        """The refitted structure with the largest evidence."""
+        return self.most(lambda refitted: refitted.log_evidence)
+
     @property
     def best(self) -> Structure:
-        """The one of them with the largest evidence."""
+        """The one of the relevant structures with the largest evidence."""
         known = self.relevant
         return max(known, key=lambda s: known[s].log_evidence)
 
@@ -61,7 +71,9 @@ class SearchState:
     def values_of(self, structure: Structure) -> Mapping[str, float]:
         """Values by key that the newest linearisation predicts of a structure, if any."""
         predicted = self.predicted.get(structure)
-        return {} if predicted is None else predicted.values
+        if predicted is None or self.view is None:
+            return {}
+        return self.view.responses.sizes(predicted.choice, predicted.sizes)
 
     def log_evidence(self) -> dict[Structure, float]:
         """Log evidence of what was visited, but for likelier structures whose terms explain too little."""
@@ -85,7 +97,7 @@ def inclusion(state: SearchState) -> dict[str, float]:
     found: dict[str, float] = {}
     for structure, weight in zip(structures, weights.tolist(), strict=True):
         for term in structure:
-            found[term] = found.get(term, 0.0) + weight
+            found[term] = min(found.get(term, 0.0) + weight, 1.0)
     return found
 
 
