@@ -300,6 +300,7 @@ class StructureSearch:
         stands = own.evaluate([choice])[0]
         # a size that runs to the end of what it can be says that the effect is none of its kind
         possible = 0.0 if self._within_bounds(fitted, structure) else -np.inf
+        possible += _unkept(fitted, own.responses.grams.dof)
         state.refitted[structure] = Refitted(
             fitted,
             stands.log_evidence + possible,
@@ -315,6 +316,23 @@ class StructureSearch:
         sizes = [p for p in parameters if p.term in structure and not p.shape]
         values = [float(fitted.theta[places[p.key]]) for p in sizes]
         return not any(value and p.at_bound(value) for p, value in zip(sizes, values, strict=True))
+
+
+def _unkept(fitted: Fitted, dof: float) -> float:
+    """Log likelihood (≤ 0) of what a fit keeps over what its slopes promise, of so many samples.
+
+    Evidence takes a fit for the minimum that its slopes point at. One that has not converged, for its slopes
+    are not those of a few steps further, is worth what it leaves.
+    """
+    if fitted.solution.converged:
+        return 0.0
+    problem, solution = fitted.problem, fitted.solution
+    lin = problem.linearise(solution.point, solution.residuals)
+    seen = problem.project(lin, np.column_stack([solution.residuals, lin.by_parameters]))
+    left, slopes = seen[:, 0], seen[:, 1:]
+    promised = left - slopes @ np.linalg.lstsq(slopes, left, rcond=None)[0]
+    kept = max(float(solution.residuals @ solution.residuals), 1e-300)
+    return 0.5 * dof * min(float(np.log(max(float(promised @ promised), 1e-300) / kept)), 0.0)
 
 
 def search_structures(
