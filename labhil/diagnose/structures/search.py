@@ -17,12 +17,15 @@ from labhil.diagnose.structures.claims import Stage, borne_out, concluded, predi
 from labhil.diagnose.structures.curves import CurveSearch
 from labhil.diagnose.structures.disturbance import noise_beside
 from labhil.diagnose.structures.enumerate import (
+    EVIDENCES,
     RELEVANCE,
     Enumeration,
+    Evident,
     Predicted,
     Structure,
     candidates,
     relevance,
+    with_disturbance,
 )
 from labhil.diagnose.structures.responses import responses
 from labhil.diagnose.structures.state import (
@@ -79,16 +82,6 @@ OUTWEIGHED = np.sqrt(2.0)
 """Noise levels that a stage's best structure leaves from which what is missing outweighs the noise: longer
 windows would add up more of that, and show no more of what acts slowly."""
 
-EvidenceOf = Callable[[Refitted | Predicted], float]
-
-
-def _with_disturbance(of: Refitted | Predicted) -> float:
-    return of.log_evidence
-
-
-def _undisturbed(of: Refitted | Predicted) -> float:
-    return of.undisturbed
-
 
 @dataclass(frozen=True, slots=True)
 class StructureSearch:
@@ -135,7 +128,7 @@ class StructureSearch:
         """
         for _ in range(self.options.rounds):
             new = False
-            for evidence in (_with_disturbance, _undisturbed):
+            for evidence in EVIDENCES:
                 best = state.most(evidence)
                 if best not in state.looked and self._leads_on(state, best):
                     self._look(state, best)
@@ -194,7 +187,7 @@ class StructureSearch:
             fewest = min(len(p.structure) for p in longer)
             beside = [p for p in longer if len(p.structure) == fewest]
             self._refit_predicted(state, max(beside, key=lambda p: p.log_evidence))
-        self._refit_promising(state, _with_disturbance)
+        self._refit_promising(state, with_disturbance)
         return state.likeliest != before
 
     def _refit_singles(self, state: SearchState) -> None:
@@ -234,7 +227,7 @@ class StructureSearch:
         seen = responses(self.data, fitted, self.baseline, self.correlation, self.executor, absent=absent)
         return Enumeration(self.data.model, seen, frozenset(self.baseline), self.candidates)
 
-    def _refit_promising(self, state: SearchState, evidence: EvidenceOf) -> None:
+    def _refit_promising(self, state: SearchState, evidence: Callable[[Evident], float]) -> None:
         """Refit the most promising structures that were not refitted yet.
 
         From afar many terms together stand in for anything: only a few more than those of the fit that was
