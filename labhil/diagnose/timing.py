@@ -51,8 +51,8 @@ PAST = 10
 SMALLEST = 1e-6
 """Share of an input's spread below which what is left of a prediction is rounding."""
 
-TERMS = ("viscous_friction", "coulomb_friction", "constant_force")
-"""What nearly every rig has: friction, which delays its answers, and a load or an offset."""
+TERMS = ("viscous_friction", "coulomb_friction")
+"""What nearly every rig has, and what delays its answers."""
 
 
 def all_faults(model: Model, record: Record) -> tuple[Fault, ...]:

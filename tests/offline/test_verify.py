@@ -179,8 +179,8 @@ def test_what_is_wrong_with_the_recording_is_named_before_the_model_is_blamed(
     labhil, record, accepted, tmp_path
 ):
     """An input whose stamps are late contradicts any model; a few spikes contradict none."""
-    found = carriage(3)
-    late = replace(found, inputs=np.concatenate([found.inputs[:1].repeat(2, axis=0), found.inputs[:-2]]))
+    found, even = carriage(3), carriage(3, {"constant_force.force": 0.0})
+    late = replace(even, inputs=np.concatenate([even.inputs[:1].repeat(2, axis=0), even.inputs[:-2]]))
     done = labhil("verify", record("late.mcap", late), "--model", accepted(), "--json", "out.json")
     assert done.status == 1
     assert [fault["kind"] for fault in answer(tmp_path)["faults"]] == ["lead"]

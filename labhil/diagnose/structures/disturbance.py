@@ -143,9 +143,15 @@ def noise_beside(problem: Problem, residuals: FloatArray) -> Noise:
     rows = (edges[:-1, None] + np.arange(skipped, n)).ravel()
     power = np.median(spectrum[rows].reshape(len(counts), n - skipped, channels), axis=0) / MEDIAN
     shapes = _noise_shapes(n)[:, skipped:]
-    scale = np.mean(power.T[:, None, :] / shapes, axis=2)
-    best = np.argmin(np.log(scale) + np.mean(np.log(shapes), axis=1), axis=1)
-    return Noise(problem.sigma * np.sqrt(scale[np.arange(channels), best]), CORRELATIONS[best])
+    best, scale = zip(*(_likeliest_shape(power[:, c], shapes) for c in range(channels)), strict=True)
+    return Noise(problem.sigma * np.sqrt(scale), CORRELATIONS[list(best)])
+
+
+def _likeliest_shape(power: FloatArray, shapes: FloatArray) -> tuple[int, float]:
+    """Which of the shapes (R, K) a spectrum (K,) has likeliest, and its scale (Whittle 1953)."""
+    scales = np.mean(power / shapes, axis=1)
+    best = int(np.argmin(np.log(scales) + np.mean(np.log(shapes), axis=1)))
+    return best, float(scales[best])
 
 
 def _noise_shapes(count: int) -> FloatArray:
@@ -167,12 +173,11 @@ def torque_that_lasts(problem: Problem, residuals: FloatArray) -> FloatArray:
         [np.arange(b - a) / (2.0 * (b - a) * problem.record.period) for a, b in pairwise(_edges(problem))]
     )
     lasting = 1.0 / (1.0 + (frequency / TORQUE_CORNERS[:, None]) ** 2)
-    shapes = 1.0 + TORQUE_SIZES[:, None, None] ** 2 * lasting
+    shapes = (1.0 + TORQUE_SIZES[:, None, None] ** 2 * lasting).reshape(-1, len(frequency))
     strength = np.empty_like(power)
     for c in range(power.shape[1]):
-        scale = np.mean(power[:, c] / shapes, axis=2)
-        unlikely = np.log(scale) + np.mean(np.log(shapes), axis=2)
-        size, corner = np.unravel_index(np.argmin(unlikely), unlikely.shape)
+        best, _ = _likeliest_shape(power[:, c], shapes)
+        size, corner = divmod(best, len(TORQUE_CORNERS))
         strength[:, c] = TORQUE_SIZES[size] * np.sqrt(lasting[corner])
     return np.asarray(strength.ravel())
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import comb, inf, log
-from operator import attrgetter
+from typing import Protocol
 
 import numpy as np
 
@@ -60,10 +60,31 @@ class Predicted:
     sizes: FloatArray
 
 
-EVIDENCES: tuple[Callable[[Predicted], float], ...] = (
-    attrgetter("log_evidence"),
-    attrgetter("undisturbed"),
-)
+class Evident(Protocol):
+    """What has log evidence, with a disturbance that is possible and without one."""
+
+    @property
+    def log_evidence(self) -> float:
+        """A disturbance of any size summed out."""
+        ...
+
+    @property
+    def undisturbed(self) -> float:
+        """The same where nothing disturbs."""
+        ...
+
+
+def with_disturbance(of: Evident) -> float:
+    """Log evidence where a disturbance is possible."""
+    return of.log_evidence
+
+
+def without_disturbance(of: Evident) -> float:
+    """Log evidence where nothing disturbs."""
+    return of.undisturbed
+
+
+EVIDENCES = (with_disturbance, without_disturbance)
 
 
 def relevance(without: float, remains: float) -> float:

@@ -17,12 +17,15 @@ from labhil.diagnose.structures.claims import Stage, borne_out, concluded, predi
 from labhil.diagnose.structures.curves import CurveSearch
 from labhil.diagnose.structures.disturbance import noise_beside
 from labhil.diagnose.structures.enumerate import (
+    EVIDENCES,
     RELEVANCE,
     Enumeration,
+    Evident,
     Predicted,
     Structure,
     candidates,
     relevance,
+    with_disturbance,
 )
 from labhil.diagnose.structures.responses import responses
 from labhil.diagnose.structures.state import (
@@ -79,16 +82,6 @@ OUTWEIGHED = np.sqrt(2.0)
 """Noise levels that a stage's best structure leaves from which what is missing outweighs the noise: longer
 windows would add up more of that, and show no more of what acts slowly."""
 
-EvidenceOf = Callable[[Refitted | Predicted], float]
-
-
-def _with_disturbance(of: Refitted | Predicted) -> float:
-    return of.log_evidence
-
-
-def _undisturbed(of: Refitted | Predicted) -> float:
-    return of.undisturbed
-
 
 @dataclass(frozen=True, slots=True)
 class StructureSearch:
@@ -135,7 +128,7 @@ class StructureSearch:
         """
         for _ in range(self.options.rounds):
             new = False
-            for evidence in (_with_disturbance, _undisturbed):
+            for evidence in EVIDENCES:
                 best = state.most(evidence)
                 if best not in state.looked and self._leads_on(state, best):
                     self._look(state, best)
@@ -194,7 +187,7 @@ class StructureSearch:
             fewest = min(len(p.structure) for p in longer)
             beside = [p for p in longer if len(p.structure) == fewest]
             self._refit_predicted(state, max(beside, key=lambda p: p.log_evidence))
-        self._refit_promising(state, _with_disturbance)
+        self._refit_promising(state, with_disturbance)
         return state.likeliest != before
 
     def _refit_singles(self, state: SearchState) -> None:
@@ -234,7 +227,7 @@ class StructureSearch:
         seen = responses(self.data, fitted, self.baseline, self.correlation, self.executor, absent=absent)
         return Enumeration(self.data.model, seen, frozenset(self.baseline), self.candidates)
 
-    def _refit_promising(self, state: SearchState, evidence: EvidenceOf) -> None:
+    def _refit_promising(self, state: SearchState, evidence: Callable[[Evident], float]) -> None:
         """Refit the most promising structures that were not refitted yet.
 
         From afar many terms together stand in for anything: only a few more than those of the fit that was
@@ -300,6 +293,7 @@ class StructureSearch:
         stands = own.evaluate([choice])[0]
         # a size that runs to the end of what it can be says that the effect is none of its kind
         possible = 0.0 if self._within_bounds(fitted, structure) else -np.inf
+        possible += _unkept(fitted, own.responses.grams.dof)
         state.refitted[structure] = Refitted(
             fitted,
             stands.log_evidence + possible,
@@ -315,6 +309,23 @@ class StructureSearch:
         sizes = [p for p in parameters if p.term in structure and not p.shape]
         values = [float(fitted.theta[places[p.key]]) for p in sizes]
         return not any(value and p.at_bound(value) for p, value in zip(sizes, values, strict=True))
+
+
+def _unkept(fitted: Fitted, dof: float) -> float:
+    """Log likelihood (≤ 0) of what a fit keeps over what its slopes promise, of so many samples.
+
+    Evidence takes a fit for the minimum that its slopes point at. One that has not converged, for its slopes
+    are not those of a few steps further, is worth what it leaves.
+    """
+    if fitted.solution.converged:
+        return 0.0
+    problem, solution = fitted.problem, fitted.solution
+    lin = problem.linearise(solution.point, solution.residuals)
+    seen = problem.project(lin, np.column_stack([solution.residuals, lin.by_parameters]))
+    left, slopes = seen[:, 0], seen[:, 1:]
+    promised = left - slopes @ np.linalg.lstsq(slopes, left, rcond=None)[0]
+    kept = max(float(solution.residuals @ solution.residuals), 1e-300)
+    return 0.5 * dof * min(float(np.log(max(float(promised @ promised), 1e-300) / kept)), 0.0)
 
 
 def search_structures(

@@ -8,7 +8,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from labhil.diagnose.found import Rival
-from labhil.diagnose.structures.enumerate import Choice, Enumeration, Predicted, Structure, relevance
+from labhil.diagnose.structures.enumerate import (
+    Choice,
+    Enumeration,
+    Predicted,
+    Structure,
+    relevance,
+    with_disturbance,
+)
 from labhil.identify.fitted import Fitted
 from labhil.physics.model import Model
 
@@ -50,7 +57,7 @@ class SearchState:
     @property
     def likeliest(self) -> Structure:
         """The refitted structure with the largest evidence."""
-        return self.most(lambda refitted: refitted.log_evidence)
+        return self.most(with_disturbance)
 
     @property
     def best(self) -> Structure:
@@ -97,7 +104,7 @@ def inclusion(state: SearchState) -> dict[str, float]:
     found: dict[str, float] = {}
     for structure, weight in zip(structures, weights.tolist(), strict=True):
         for term in structure:
-            found[term] = found.get(term, 0.0) + weight
+            found[term] = min(found.get(term, 0.0) + weight, 1.0)
     return found
 
 
