@@ -15,7 +15,7 @@ from labhil.identify.penalised import Projected, minimise
 from labhil.identify.problem import Point, Problem
 from labhil.identify.spline import Spline
 from labhil.identify.statistics import Estimate, estimates
-from labhil.identify.window_states import fit_states
+from labhil.identify.window_states import fit_states, looked_anew, tried
 from labhil.identify.windows import fit_windows
 from labhil.physics.extra_force import Over, Unplaced, Yielding
 from labhil.physics.terms import Yardstick
@@ -176,6 +176,13 @@ def refined(curved: Curved, iterations: int) -> Curved:
     """The same curve by the simulation itself, its smoothness chosen anew where that ends."""
     once = minimised(curved, None, iterations)
     return minimised(once, None, iterations)
+
+
+def settled(curved: Curved, iterations: int) -> Curved:
+    """The same curve where windows have looked for better states: one in a wrong minimum bends the curve."""
+    problem, point = curved.fitted.problem, curved.fitted.solution.point
+    states = looked_anew(problem, point.z, tried(problem, point.z, point.states)).states
+    return minimised(curved, Point(point.z, states), iterations)
 
 
 def minimised(curved: Curved, start: Point | None, iterations: int) -> Curved:
