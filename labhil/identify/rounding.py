@@ -33,7 +33,7 @@ WAVES = 4
 class Rounding:
     """A channel's ``step`` in its unit, the lasting ``error`` (PLACES + 1,) along a step, in steps.
 
-    ``share`` is what of the noise's variance that error is on the average, ``dither`` the variance of the noise
+    ``share`` is what of the noise's variance that error is on the average, ``dither`` the variance of noise
     before rounding, in steps².
     """
 

@@ -345,8 +345,7 @@ def search_structures(
                     begin = finished[-1].leading
                     data, correlation = _in_noise_beside(data, finished[-1].best)
                 stage = replace(data, window=length)
-                if data.model.state_names:
-                    begin = [on_windows(stage, fitted) for fitted in begin]
+                begin = [on_windows(stage, fitted) for fitted in begin]
                 search = StructureSearch(
                     stage, baseline.terms, correlation, executor, progress, options, nominal
                 )
