@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from labhil.ending import checkpoint
-from labhil.identify.rounding import lasting_errors, telling_share
+from labhil.identify.rounding import telling_share
 from labhil.identify.windows import noise_at
 from labhil.physics.model import Model, Record, Windows
 from labhil.signals import FloatArray, IntArray
@@ -89,11 +89,6 @@ class Problem:
     def telling(self) -> float:
         """Share of the samples that is not the same rounding over again."""
         return telling_share(self.record, self.sigma)
-
-    def lasting_errors(self, residuals: FloatArray) -> FloatArray:
-        """What rounding may add to residuals (N·c,) where a model simulates these, (N·c, m)."""
-        simulated = self._measured + residuals.reshape(self._measured.shape) * self.noise
-        return lasting_errors(self.record.outputs, simulated, self.noise)
 
     def of_windows(self, chosen: IntArray) -> Problem:
         """The same problem on some of its windows only."""

@@ -25,22 +25,17 @@ PLACES = 256
 LEAST = 1e-3
 """Share of the noise's variance below which rounding is as good as independent noise."""
 
-WAVES = 4
-"""Terms of the series that are told apart: of a saw that nothing dithers they hold 87 % of the power."""
-
 
 @dataclass(frozen=True, slots=True)
 class Rounding:
     """A channel's ``step`` in its unit, the lasting ``error`` (PLACES + 1,) along a step, in steps.
 
-    ``share`` is what of the noise's variance that error is on the average, ``dither`` the variance of noise
-    before rounding, in steps².
+    ``share`` is what of the noise's variance that error is on the average.
     """
 
     step: float
     error: FloatArray
     share: float
-    dither: float
 
     @classmethod
     def of(cls, readings: FloatArray, sigma: float) -> Rounding | None:
@@ -51,45 +46,12 @@ class Rounding:
         dither = max((sigma / step) ** 2 - 1.0 / 12.0, 0.0)
         error = _smoothed_saw(dither)
         share = float(np.mean(error[:-1] ** 2)) * (step / sigma) ** 2
-        return cls(step, error, share, dither) if share > LEAST else None
+        return cls(step, error, share) if share > LEAST else None
 
     def lasting(self, values: FloatArray, phase: float) -> FloatArray:
         """The error (N,) of ``values`` (N,), in their unit, the converter's steps shifted by a ``phase``."""
         places = np.mod(values / self.step + phase, 1.0) * PLACES
         return np.asarray(self.step * np.interp(places, np.arange(PLACES + 1.0), self.error))
-
-    def waves(self, values: FloatArray) -> FloatArray:
-        """The error's terms at ``values`` (N,), in their unit: a sine and a cosine of each, (N, 2·WAVES).
-
-        The converter's phase is not known: of each term a sine and a cosine are off by as much, each with a
-        variance of one where these columns have the term's amplitude over √2.
-        """
-        k = np.arange(1, WAVES + 1)
-        amplitude = self.step / (np.pi * k) * np.exp(-2.0 * np.pi**2 * k**2 * self.dither) / np.sqrt(2.0)
-        angle = 2.0 * np.pi * k * (values / self.step)[:, None]
-        return np.hstack([amplitude * np.sin(angle), amplitude * np.cos(angle)])
-
-
-def lasting_errors(readings: FloatArray, values: FloatArray, sigma: FloatArray) -> FloatArray:
-    """What rounding that lasts may add to residuals, as columns (N·c, m) with sizes of a variance of one.
-
-    Args:
-        readings: of all channels, (n, c).
-        values: that a model has in their place, of some of them, (N, c).
-        sigma: noise, (c,) or (N, c).
-
-    Returns:
-        Columns in units of the noise; none where noise dithers every channel.
-    """
-    noise = np.broadcast_to(sigma, values.shape)
-    columns = [np.empty((values.size, 0))]
-    for c in range(readings.shape[1]):
-        rounding = Rounding.of(readings[:, c], float(np.median(noise[:, c])))
-        if rounding is not None:
-            own = np.zeros((*values.shape, 2 * WAVES))
-            own[:, c] = rounding.waves(values[:, c]) / noise[:, c, None]
-            columns.append(own.reshape(values.size, -1))
-    return np.hstack(columns)
 
 
 def telling_share(record: Record, sigma: FloatArray) -> float:

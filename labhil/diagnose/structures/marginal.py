@@ -112,7 +112,7 @@ def grams(
     for view, weight in zip(views, log_prior, strict=True):
         inner = view.products[np.ix_(own, own)]
         scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
-        alike = inner / np.outer(scale, scale) + np.diag(1.0 / scale**2) + LEAST * np.eye(baseline)
+        alike = inner / np.outer(scale, scale) + LEAST * np.eye(baseline)
         across = view.products[np.ix_(own, kept)] / scale[:, None]
         seen.append(view.products[np.ix_(kept, kept)] - across.T @ np.linalg.solve(alike, across))
         log_det = float(np.linalg.slogdet(inner + np.eye(baseline))[1])

@@ -157,8 +157,7 @@ def responses(
         columns = tuple(_Column("", 1.0, False, False, column) for column in curve.columns.T)
         ways += _smooth(_Way(curve.name, {}, columns), curve.roughness)
     every = [c.values for way in ways for c in way.columns]
-    beside = np.hstack([lin.by_parameters[:, shared], problem.lasting_errors(solution.residuals)])
-    matrix = np.column_stack([target, beside, *every])
+    matrix = np.column_stack([target, lin.by_parameters[:, shared], *every])
     placed, first = dict[str, list[Variant]](), 1
     priors = []
     for way in ways:
@@ -169,7 +168,7 @@ def responses(
         priors.append(way.precision)
     possible = len(data.model.terms) - len(baseline)
     disturbance = Disturbance.grid(possible) if data.model.state_names else Disturbance.estimated(possible)
-    plain = inner_products(problem, lin, matrix, beside.shape[1], correlation, disturbance)
+    plain = inner_products(problem, lin, matrix, len(shared), correlation, disturbance)
     seen = plain.with_precisions([(v.places, prior) for v, prior in zip(_flat(placed), priors, strict=True)])
     kept = {term: _visible(seen, of, term in fitted.terms) for term, of in placed.items()}
     return Responses(fitted, seen, {term: of for term, of in kept.items() if of})
