@@ -247,7 +247,7 @@ def _looked_wider(
     progress("the held-out data show something else: the search goes on with half of them")
     searched, kept = parts
     sigma, test_sigma = noise_of(searched), noise_of(kept)
-    wider = replace(data, search=searched, test=kept, sigma=sigma, test_sigma=test_sigma, first=data)
+    wider = replace(data, search=searched, test=kept, sigma=sigma, test_sigma=test_sigma)
     wider, base = _with_lasting_noise(wider, fit_baseline(wider, found.baseline.terms))
     again = look(wider, base)
     if not again.complete:

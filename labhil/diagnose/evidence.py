@@ -33,40 +33,10 @@ class Evidence:
     heldout_loglik_gain: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Left:
-    """What a model leaves (N, c) of data in whose windows only states were fitted, in units of their noise.
-
-    Recordings begin at the rows ``begins``; of their samples the share ``telling`` is not the same rounding
-    over again. ``price`` is what parameters that moved as far as they are not known have cost, −2 times a
-    logarithm of likelihood.
-    """
-
-    residuals: FloatArray
-    begins: tuple[int, ...]
-    telling: float = 1.0
-    price: float = 0.0
-
-    @property
-    def worth(self) -> float:
-        """How many independent residuals they are worth."""
-        return independent(self.residuals, self.begins, self.telling)
-
-    @property
-    def unlikely(self) -> float:
-        """−2 times the logarithm of their likelihood, up to a constant."""
-        return self.worth * self.log_power + self.price
-
-    @property
-    def log_power(self) -> float:
-        """Mean over the channels of the logarithm of the mean square."""
-        return _mean_log_power(self.residuals)
-
-
 def effective_samples(fitted: Fitted, joint: int | None = None) -> float:
     """How many independent residuals those of a fit are worth, or those of one joint's output."""
     problem = fitted.problem
-    return independent(_channels(fitted, joint), problem.begins, problem.telling)
+    return independent(_channels(fitted, joint), problem.begins, float(problem.telling.mean()))
 
 
 def independent(residuals: FloatArray, begins: Sequence[int] = (0,), telling: float = 1.0) -> float:
@@ -88,11 +58,6 @@ def bic(fitted: Fitted, effective: float, degrees: float | None = None, joint: i
     """
     free = len(fitted.problem.free) if degrees is None else degrees
     return float(effective * _log_power(fitted, joint) + free * np.log(effective))
-
-
-def unlikelier(before: Left, after: Left) -> float:
-    """How much less likely data are after than before, −2 times the logarithm."""
-    return before.worth * (after.log_power - before.log_power) + after.price - before.price
 
 
 def search_p_value(before: Fitted, after: Fitted, effective: float, looks: int) -> float:

@@ -7,13 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from labhil.diagnose.evidence import Evidence, Left
-from labhil.identify.problem import begins_among
-from labhil.identify.rounding import telling_share
+from labhil.diagnose.evidence import Evidence
 from labhil.identify.score import Score, score
-from labhil.identify.window_states import held_at
-from labhil.identify.windows import fit_windows
-from labhil.physics.model import Model, Record, Windows
+from labhil.physics.model import Model, Record
 from labhil.signals import FloatArray
 
 NEEDED_BIC = -10.0
@@ -42,8 +38,7 @@ TOGETHER = 5e-4
 class Data:
     """What a search works on: search and test records with their noise, and the windows' length in s.
 
-    ``begin`` is the vector that fits begin at; parameters with a key in ``held`` stay there. Of a wider
-    search ``first`` is what was searched and held out before.
+    ``begin`` is the vector that fits begin at; parameters with a key in ``held`` stay there.
     """
 
     model: Model
@@ -54,7 +49,6 @@ class Data:
     window: float
     begin: FloatArray
     held: frozenset[str] = frozenset()
-    first: Data | None = None
 
     def judge(self, theta: FloatArray) -> tuple[Score, ...]:
         """Scores on held-out windows: as long as can be counted, short ones, and as long as the metric's."""
@@ -66,23 +60,6 @@ class Data:
             longest = min(self.model.horizon, self.test.countable)
             lengths = (*(share * length for share in JUDGED_SHARES), longest)
         return tuple(score(self.model, theta, self.test, self.test_sigma, length) for length in lengths)
-
-    def left(self, model: Model, theta: FloatArray) -> Left:
-        """What a model held at ``theta`` leaves of the held-out data, on windows as long as the search's."""
-        windows = self.held_out_windows
-        found = held_at(model, theta, self.test, windows, self.test_sigma, thorough=True)
-        return Left(
-            found.residuals.reshape(-1, len(self.test_sigma)),
-            begins_among(self.test, windows),
-            telling_share(self.test, self.test_sigma),
-        )
-
-    @property
-    def held_out_windows(self) -> Windows:
-        """Windows of the held-out data as long as the search's."""
-        if not self.model.state_names:
-            return Windows.of(self.test.spans)
-        return fit_windows(self.test, min(self.window, self.test.longest))
 
 
 def supported(evidence: Evidence, p_search: float) -> bool:

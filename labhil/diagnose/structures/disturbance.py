@@ -70,17 +70,18 @@ def inner_products(
     disturbance: Disturbance,
 ) -> Grams:
     """Inner products of columns (N·c, m), the windows' states taken out, under every disturbance."""
-    states = spectra(problem, whitened(problem, lin.by_states, correlation))
-    columns = spectra(problem, whitened(problem, matrix, correlation))
+    rho = np.tile(correlation, len(problem.windows.owner))
+    worth = np.minimum(1.0, problem.telling * (1.0 + rho) / (1.0 - rho))
+    weight = np.sqrt(worth)[:, None]
+    states = spectra(problem, weight * whitened(problem, lin.by_states, correlation))
+    columns = spectra(problem, weight * whitened(problem, matrix, correlation))
     if problem.model.state_names:
         strength = response_to_a_force(problem)
     else:
         strength = torque_that_lasts(problem, lin.residuals)
     views = [_view(problem, lin, states, columns, tau * strength) for tau in disturbance.size]
-    rho = float(np.mean(correlation))
-    telling = min(1.0, problem.telling * (1.0 + rho) / (1.0 - rho))
     free = lin.by_states.shape[1] * len(problem.edges)
-    left, dof = (max(rows - free, 10.0) for rows in (len(matrix), len(matrix) * telling))
+    left, dof = (max(rows - free, 10.0) for rows in (len(matrix), float(worth.sum())))
     return grams(views, baseline, len(matrix), left, dof, np.log(disturbance.weight))
 
 
