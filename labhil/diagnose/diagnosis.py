@@ -82,6 +82,12 @@ def diagnose(
     if not _excited(searched, sigma):
         reason = "neither input nor output moves beyond the noise"
         return _unsearched(data, base, "not_decidable", reason, faults, heldout_is_test, began)
+    if model.state_names and searched.duration < model.horizon:
+        reason = (
+            f"too short: {searched.duration:.3g} s were searched; what a model of this rig lacks shows within "
+            f"{model.horizon:.3g} s, and at least that much is needed"
+        )
+        return _unsearched(data, base, "not_decidable", reason, faults, heldout_is_test, began)
     if ended_early:
         reason = "ended early, before anything was searched"
         stated = _unsearched(data, base, "not_decidable", reason, faults, heldout_is_test, began)
