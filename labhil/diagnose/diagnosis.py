@@ -70,28 +70,15 @@ def diagnose(
     """
     began = time.perf_counter()
     data = data_of(model, searched, held_out, reference)
-    searched, held_out, sigma = data.search, data.test, data.sigma
     progress(f"fitting the baseline: {', '.join(baseline)}")
     terms = [term.key for term in terms_named(model, baseline)]
     data, base, ended_early = _baseline(data, terms)
-    whole = searched if measured is None else measured
+    whole = data.search if measured is None else measured
     faults = all_faults(model, whole)
-    if not usable(whole, faults).fit:
-        reason = "the data are at fault"
-        return _unsearched(data, base, "data_fault", reason, faults, heldout_is_test, began)
-    if not _excited(searched, sigma):
-        reason = "neither input nor output moves beyond the noise"
-        return _unsearched(data, base, "not_decidable", reason, faults, heldout_is_test, began)
-    if model.state_names and searched.duration < model.horizon:
-        reason = (
-            f"too short: {searched.duration:.3g} s were searched; what a model of this rig lacks shows within "
-            f"{model.horizon:.3g} s, and at least that much is needed"
-        )
-        return _unsearched(data, base, "not_decidable", reason, faults, heldout_is_test, began)
-    if ended_early:
-        reason = "ended early, before anything was searched"
-        stated = _unsearched(data, base, "not_decidable", reason, faults, heldout_is_test, began)
-        return replace(stated, complete=False)
+    refused = _refused(data, whole, faults, ended_early)
+    if refused is not None:
+        stated = _unsearched(data, base, *refused, faults, heldout_is_test, began)
+        return replace(stated, complete=not ended_early)
     look = partial(_found, terms=terms, reference=reference, accepted=accepted, progress=progress)
     end = _concluded(data, look(data, base), look, progress)
     found, curves, told, claimed = end.found, end.curves, strongest(end.curves), end.doubts
@@ -133,6 +120,23 @@ def diagnose(
         complete=found.complete,
         remainder=find_remainder(_names(found, told), *end.accepted, end.data.test, end.before, end.after),
     )
+
+
+def _refused(
+    data: Data, measured: Record, faults: tuple[Fault, ...], ended_early: bool
+) -> tuple[str, str] | None:
+    """The verdict without a search, and why there is none; None where the data can be searched."""
+    if not usable(measured, faults).fit:
+        return "data_fault", "the data are at fault"
+    if not _excited(data.search, data.sigma):
+        return "not_decidable", "neither input nor output moves beyond the noise"
+    duration, horizon = data.search.duration, data.model.horizon
+    if data.model.state_names and duration < horizon:
+        reason = f"too short: {duration:.3g} s were searched, and what a model of this rig lacks takes "
+        return "not_decidable", reason + f"{horizon:.3g} s to show"
+    if ended_early:
+        return "not_decidable", "ended early, before anything was searched"
+    return None
 
 
 def _names(found: Found, curves: Sequence[Unmodelled]) -> list[str]:
