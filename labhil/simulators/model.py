@@ -156,7 +156,8 @@ class SimulatorModel:
                 "parameters, found some that are none; give starts that are nearer, or bounds"
             )
         dead = dead_parameters(simulate, theta, [p.name for p in own])
-        self.notes = [_dead_note(name, self.simulator, self.kind) for name in dead]
+        self.notes = [*self.simulator.notes]
+        self.notes += [_dead_note(name, self.simulator, self.kind) for name in dead]
         alive = self._without(own, dead)
         if self.simulator.stepped is not None:
             self.notes += self._beside_itself(self.simulator.stepped, record, windows, states)

@@ -86,7 +86,8 @@ class Simulator:
     """A simulator as its user describes it; made by :func:`simulator`. Wherever a rig may be named, it may.
 
     One that only answers when it is called, a step or a MuJoCo file, is ``stepped``; ``nominal`` are values
-    of a file that stand for the user's simulation, as ``[nominal]`` of a rig file would.
+    of a file that stand for the user's simulation, as ``[nominal]`` of a rig file would. ``notes`` say what
+    of a file is not part of what is fitted.
 
     Example:
         >>> import labhil as lh
@@ -112,6 +113,7 @@ class Simulator:
     horizon: float | None
     stepped: Stepped | None = None
     nominal: Mapping[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     @property
     def kind(self) -> RigKind:
@@ -297,6 +299,12 @@ def _check_coordinate(
                 f"simulator {called!r}: coordinate {what}: unknown name {name!r}{suggestion(name, known)}; "
                 f"known: {', '.join(known)}"
             )
+    if coordinate.inertia and not quantities[coordinate.inertia].bounds[0] > 0.0:
+        quantity = quantities[coordinate.inertia]
+        raise UsageError(
+            f"simulator {called!r}: {coordinate.inertia}: expected an inertia above 0, as is its lower "
+            f"bound; found a start of {quantity.start:g} and a lower bound of {quantity.bounds[0]:g}"
+        )
     if bool(coordinate.like) == bool(coordinate.inertia):
         raise UsageError(
             f"simulator {called!r}: coordinate: expected either `like` (an input that a force acts like) or "
