@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from labhil.api.inputs import PathLike, path_of, rig_file
+from labhil.complaints import explain
 from labhil.errors import ExperimentFileError, RunError, UsageError
 from labhil.experiment.bench import Bench
 from labhil.experiment.experiment import DeviceSection, TwinSection, WithDevices, load_experiment
 from labhil.experiment.experiment import Experiment as ExperimentFile
 from labhil.experiment.plan import Plan, device_plan, make_plan
 from labhil.experiment.points import is_campaign, points_of
-from labhil.rig import RigFile, explain
+from labhil.rig import RigFile
 
 if TYPE_CHECKING:
     from labhil.api.model import Model

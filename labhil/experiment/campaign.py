@@ -17,6 +17,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from labhil.complaints import explain
 from labhil.documents import parse_json
 from labhil.errors import EmergencyStopError, LabhilError, RecordingError, RunStoppedError, UsageError
 from labhil.experiment.experiment import Experiment
@@ -26,7 +27,6 @@ from labhil.experiment.result import Progress, RunResult, free_path
 from labhil.experiment.run import run_experiment
 from labhil.recording.contents import how_it_ended
 from labhil.recording.reader import read_recording
-from labhil.rig import explain
 from labhil.whole import whole
 
 Status = Literal["planned", "running", "done", "failed"]

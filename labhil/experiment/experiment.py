@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from labhil.complaints import explain, unknown_key
 from labhil.documents import DocumentError, parse_toml
 from labhil.errors import ExperimentFileError, UnknownNameError, suggestion
 from labhil.experiment.condition import parse_condition
@@ -24,7 +25,7 @@ from labhil.experiment.excitation.make import (
 from labhil.experiment.excitation.table import Between
 from labhil.experiment.excitation.tones import PhaseRule, Sweep
 from labhil.experiment.sweep import MOST_RUNS, SweepSection
-from labhil.rig import RigFile, default_rig, explain, load_rig, unknown_key
+from labhil.rig import RigFile, default_rig, load_rig
 from labhil.toml_text import to_toml
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]

@@ -17,7 +17,8 @@ from labhil.experiment.excitation.function import columns_of, sampled
 from labhil.experiment.excitation.spectrum import Spectrum, spectrum_of
 from labhil.experiment.experiment import TWIN, DeviceSection, Experiment, TimedStep, WithDevices
 from labhil.plugins import load_driver, load_twin
-from labhil.rig import Interlock, Limit, RigFile
+from labhil.rig import RigFile
+from labhil.rig_sections import Interlock, Limit
 from labhil.signals import FloatArray, Signal
 
 

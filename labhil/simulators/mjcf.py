@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from labhil.extras import load_optional
 from labhil.simulators.mechanism import PURPOSE, RUBS, Field, Mechanism, Value, read_value
 from labhil.simulators.mjcf_file import Described, Names, load_model, names_of
 from labhil.simulators.mjcf_unheld import notes_on, refuse_unheld, sensor_delay
+from labhil.simulators.names import identifier
 from labhil.simulators.rollouts import Driven
 from labhil.simulators.simulator import Coordinate, Quantity, Simulator, declare
 from labhil.simulators.stepped import Held
@@ -79,7 +79,7 @@ def describe(
     late = sensor_delay(model, file, sensors)
     values = tuple(_values(model, joint, driven, hinge))
     states = {position: length, velocity: f"{length}/s"}
-    called = _identifier(name or _model_name(model, file))
+    called = identifier(name or _model_name(model, file))
     frictions = {name: _friction(model, field, joint) for field, name in RUBS.items()}
     terms = [name.partition(".")[0] for name, strength in frictions.items() if strength]
     begins = tuple(dict.fromkeys((VISCOUS, *terms)))
@@ -141,9 +141,9 @@ def _input(
         raise UsageError(f"{file}: inputs: expected one signal, found {', '.join(stated) or 'none'}")
     ((signal, of),) = stated.items()
     if of in has.actuators:
-        return _identifier(signal), _driven(model, file, of, has.actuators.index(of), joint)
+        return identifier(signal), _driven(model, file, of, has.actuators.index(of), joint)
     if of in has.joints:
-        return _identifier(signal), Driven(-1, 0)
+        return identifier(signal), Driven(-1, 0)
     known = (*has.actuators, *has.joints)
     raise UsageError(
         f"{file}: inputs: {signal}: no actuator or joint {of!r}{suggestion(of, known)}; {has.listed()}"
@@ -177,10 +177,10 @@ def _outputs(
                 f"{of!r}{suggestion(of, known)}; {has.listed()}"
             )
         is_rate = of in sensors and int(model.sensor_type[has.sensors.index(of)]) == velocities
-        found.setdefault(is_rate, _identifier(signal))
+        found.setdefault(is_rate, identifier(signal))
     if not found:
         raise UsageError(f"{file}: outputs: expected one signal at least, found none; {has.listed()}")
-    position = found.get(False, _identifier(has.joints[joint]))
+    position = found.get(False, identifier(has.joints[joint]))
     velocity = found.get(True, f"{position}_velocity")
     used = tuple(has.sensors.index(of) for of in given.values() if of in sensors)
     return position, velocity, tuple(found.values()), used
@@ -210,7 +210,7 @@ def _values(model: Any, joint: int, driven: Driven, hinge: bool) -> Iterable[Val
     first = int(model.jnt_bodyid[joint])
     for body in range(first, model.nbody):
         if model.body_dofnum[body] or model.body_weldid[body] == first:
-            yield from value(Field.MASS, body, f"{_identifier(_body(model, body))}_mass")
+            yield from value(Field.MASS, body, f"{identifier(_body(model, body))}_mass")
     yield from value(Field.ARMATURE, joint)
     if driven.actuator >= 0:
         yield from value(Field.GEAR, driven.actuator)
@@ -304,9 +304,3 @@ def _body(model: Any, body: int) -> str:
 def _model_name(model: Any, file: Path) -> str:
     named = bytes(model.names).split(b"\0", 1)[0].decode("utf-8", "replace")
     return file.stem if named in ("", "MuJoCo Model") else named
-
-
-def _identifier(text: str) -> str:
-    """A name of letters, digits and _ that is near to any text."""
-    found = re.sub(r"\W+", "_", text).strip("_") or "mechanism"
-    return found if not found[0].isdigit() else f"_{found}"

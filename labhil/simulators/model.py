@@ -297,7 +297,7 @@ class SimulatorModel:
             return self.simulator.records[2](*numbers)
         ask = self.simulator.stepped.ask(numbers)
         if self._shape is None:
-            self._shape = Shape.of(ask, self._reach, self.kind)
+            self._shape = Shape.of(ask, self._reach, self.kind, self._held.rough)
         return table_of(ask, self._reach, self._shape, self._held.clip)
 
     def _part(self, theta: FloatArray) -> tuple[tuple[Any, Pushes], float]:

@@ -39,6 +39,7 @@ NAMES = [
     "diagnose",
     "errors",
     "fit",
+    "fmu_simulator",
     "load",
     "model",
     "mujoco_simulator",
