@@ -10,7 +10,7 @@ from labhil.errors import UsageError, suggestion
 from labhil.simulators.fmu_file import EXCHANGE, REAL, Exchanged, FmuFile, Stepping
 from labhil.simulators.fmu_mechanism import ExchangedMechanism, SteppingMechanism
 from labhil.simulators.names import identifier
-from labhil.simulators.probing import ROUNDED, SAME_OF_STEPS, is_damped, tried
+from labhil.simulators.probing import ROUNDED, SAME_OF_SOLVERS, SAME_OF_STEPS, SOLVED, is_damped, tried
 from labhil.simulators.simulator import UNDAMPED, Coordinate, Quantity, Simulator, declare
 
 STEPS = (1e-3, 1e-2, 1e-4)
@@ -22,9 +22,6 @@ PROBES = ((0.1, 0.3), (-0.2, 0.7))
 DRIVE = 0.25
 ALIKE = 0.05
 """Share of the velocity by which a short step may miss it."""
-
-STEPPED = 0.01
-"""Share of a rate by which a co-simulation's own solver may miss it: many make steps of Euler's."""
 
 MOVED = 1.25
 """By what a parameter is multiplied to see what changes with it."""
@@ -115,8 +112,8 @@ def fmu_simulator(
         {n: quantity.start for n, quantity in quantities.items()},
     )
     exact = isinstance(mechanism, ExchangedMechanism)
-    tried(made, SAME_OF_STEPS if exact else STEPPED)
-    declare(made, () if is_damped(made, ROUNDED if exact else STEPPED) else UNDAMPED)
+    tried(made, SAME_OF_STEPS if exact else SAME_OF_SOLVERS)
+    declare(made, () if is_damped(made, ROUNDED if exact else SOLVED) else UNDAMPED)
     return made
 
 

@@ -237,7 +237,7 @@ def test_a_step_with_a_jump_is_refused(tmp_path: Path) -> None:
     run = lh.read(recorded(bench(tmp_path), seed=5, seconds=4.0))
     with pytest.raises(UsageError, match="smooth in its velocity"):
         lh.fit(run, stepped(rubbing))
-    with pytest.raises(UsageError, match="kind: expected rates or step"):
+    with pytest.raises(UsageError, match="kind: expected rates or step or rollout"):
         lh.simulator(
             step, kind="stride", name="s", states={"a": "1", "b": "1"}, inputs={"u": "1"}, parameters={}
         )  # type: ignore[arg-type]
