@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from labhil.errors import UsageError, suggestion
-from labhil.simulators.fmu_file import EXCHANGE, REAL, Exchanged, FmuFile, Stepping
+from labhil.simulators.fmu_file import EXCHANGE, REAL, Exchanged, FmuFile, Stepping, answers
 from labhil.simulators.fmu_mechanism import ExchangedMechanism, SteppingMechanism
 from labhil.simulators.names import identifier
 from labhil.simulators.probing import ROUNDED, SAME_OF_SOLVERS, SAME_OF_STEPS, SOLVED, is_damped, tried
@@ -120,12 +120,11 @@ def fmu_simulator(
 def _input(file: FmuFile, stated: Mapping[str, str] | None) -> tuple[str, Any]:
     """Name of the recorded input, and the variable."""
     found = {v.name: v for v in file.variables("input")}
+    which = 'say which: inputs = { force = "NAME" }; ' if found else ""
     listed = f"inputs of the FMU: {', '.join(found) or 'none'}"
     if stated is None:
         if len(found) != 1:
-            raise file.refused(
-                "one real input", f'{len(found)}; say which: inputs = {{ force = "NAME" }}; {listed}'
-            )
+            raise file.refused("one real input", f"{len(found)}; {which}{listed}")
         stated = {name: name for name in found}
     if len(stated) != 1:
         raise file.refused("one input", f"{', '.join(stated) or 'none'}; {listed}")
@@ -146,7 +145,8 @@ def _found(file: FmuFile, drive: Any, starts: Mapping[int, float]) -> Found:
             f"{len(found)}: {', '.join(v.name for v in found) or 'none'}; what else has a state (filters, "
             "motors) is left to the effects that are offered (`labhil terms`)",
         )
-    return (_exchanged if file.kind == EXCHANGE else _stepping)(file, drive, starts, found)
+    with answers(file, f"an FMU whose states and input {drive.name} can be set"):
+        return (_exchanged if file.kind == EXCHANGE else _stepping)(file, drive, starts, found)
 
 
 def _state_variables(file: FmuFile) -> list[Any]:
@@ -270,7 +270,8 @@ def _outputs(
 def _names(file: FmuFile, known: Found) -> dict[str, int]:
     """Names of all variables that are the position (0) or the velocity (1)."""
     candidates = [*known.pair, *file.variables("output")]
-    read = [known.read(state, [v.valueReference for v in candidates]) for state in PROBES]
+    with answers(file, "an FMU whose outputs can be read"):
+        read = [known.read(state, [v.valueReference for v in candidates]) for state in PROBES]
     return {
         v.name: place
         for place in (0, 1)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from ctypes import c_double
 from pathlib import Path
 from shutil import rmtree
@@ -80,6 +81,17 @@ class FmuFile:
         except Exception as error:  # fmpy raises Exception itself
             here = load_optional("fmpy", PURPOSE).platform
             raise self.refused(f"a binary that runs here ({here})", str(error)) from error
+
+
+@contextmanager
+def answers(file: FmuFile, what: str) -> Iterator[None]:
+    """Says which question an FMU could not answer."""
+    try:
+        yield
+    except Exception as error:
+        if type(error).__name__ != "FMICallException":  # a class of fmpy, which need not be installed
+            raise
+        raise file.refused(what, str(error)) from error
 
 
 def _silent(*_: object) -> None:

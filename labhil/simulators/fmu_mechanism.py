@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from math import ceil
 from threading import Lock
 
@@ -11,7 +10,7 @@ import numpy as np
 
 from labhil.physics.model import Record, Windows
 from labhil.signals import FloatArray
-from labhil.simulators.fmu_file import Exchanged, FmuFile, Stepping
+from labhil.simulators.fmu_file import Exchanged, FmuFile, Stepping, answers
 from labhil.simulators.rollouts import means
 from labhil.simulators.stepped import Held, Nodes
 from labhil.simulators.tables import Ask
@@ -86,7 +85,7 @@ class ExchangedMechanism:
 
     def _rates(self, t: float, state: Sequence[float] | FloatArray, drive: float) -> list[float]:
         own = [float(x) for x in state][:: self._turn]
-        with _named(self._file, f"derivatives at states {own}, input {drive:g}"):
+        with answers(self._file, f"derivatives at states {own}, input {drive:g}"):
             return list(self._fmu.rates(t, own, drive))[:: self._turn]
 
     def _at(self, numbers: Sequence[float]) -> None:
@@ -134,11 +133,11 @@ class SteppingMechanism:
         starts = self._starts(numbers)
 
         def begin(state: FloatArray, drive: float) -> None:
-            with _named(self._file, "a start from any state"):
+            with answers(self._file, "a start from any state"):
                 self._fmu.start(starts, state.tolist(), drive)
 
         def go(_: FloatArray, drive: float, length: float) -> FloatArray:
-            with _named(self._file, f"steps of {length:g} s"):
+            with answers(self._file, f"steps of {length:g} s"):
                 return np.array(self._fmu.step(drive, length))
 
         with self._lock:
@@ -146,7 +145,7 @@ class SteppingMechanism:
 
     def _rates(self, starts: Mapping[int, float], state: Sequence[float], drive: float) -> list[float]:
         h = self._step
-        with _named(self._file, f"two steps of {h:g} s from states {list(state)}, input {drive:g}"):
+        with answers(self._file, f"two steps of {h:g} s from states {list(state)}, input {drive:g}"):
             self._fmu.start(starts, state, drive)
             here = np.asarray(state, dtype=np.float64)
             once, twice = (np.array(self._fmu.step(drive, h)) for _ in range(2))
@@ -189,14 +188,3 @@ def rolled_out(
             out[row + k] = state
         row += len(t)
     return out
-
-
-@contextmanager
-def _named(file: FmuFile, what: str) -> Iterator[None]:
-    """Says which question an FMU could not answer."""
-    try:
-        yield
-    except Exception as error:
-        if type(error).__name__ != "FMICallException":  # a class of fmpy, which need not be installed
-            raise
-        raise file.refused(what, str(error)) from error

@@ -138,6 +138,19 @@ def test_an_fmu_that_fails_says_at_which_question(tmp_path: Path) -> None:
     assert np.isfinite(rod.stepped.ask([0.02, 0.5, 0.01, 0.3])(*point)).all()
 
 
+def test_an_input_that_cannot_be_set_is_said_so(tmp_path: Path) -> None:
+    """Its description gives the input a reference that the binary does not know."""
+    path, odd = built(tmp_path, version=2), tmp_path / "odd.fmu"
+    with zipfile.ZipFile(path) as whole, zipfile.ZipFile(odd, "w") as packed:
+        text = whole.read("modelDescription.xml").decode()
+        text = text.replace('name="torque" valueReference="2"', 'name="torque" valueReference="42"')
+        packed.writestr("modelDescription.xml", text)
+        for name in set(whole.namelist()) - {"modelDescription.xml"}:
+            packed.writestr(name, whole.read(name))
+    with pytest.raises(UsageError, match="input torque can be set, found fmi2SetReal failed"):
+        lh.fmu_simulator(odd)
+
+
 def test_a_recording_does_not_run_the_fmu_of_its_author(tmp_path: Path) -> None:
     path = built(tmp_path, version=2)
     rig = tmp_path / "rig.toml"
