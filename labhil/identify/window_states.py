@@ -227,7 +227,8 @@ def _shifted(
 
 
 def _searched(problem: Problem, z: FloatArray, found: States) -> States:
-    """Other states of the windows that leave more than noise: from other velocities, then from anywhere."""
+    """Other states of the windows that leave more than noise: grown, from other velocities, from anywhere."""
+    found = _grown(problem, z, found, _noisy(problem, found))
     found = _from_other_velocities(problem, z, found, _noisy(problem, found))
     bad = _noisy(problem, found)
     if not len(bad):
@@ -235,6 +236,16 @@ def _searched(problem: Problem, z: FloatArray, found: States) -> States:
     part = problem.of_windows(bad)
     states = search_states(part, z, found.states[bad], np.random.default_rng(0))
     return _with_windows(problem, found, bad, tried(part, z, states))
+
+
+def _grown(problem: Problem, z: FloatArray, found: States, which: IntArray) -> States:
+    """The better, in some windows, of what was found and what is found on more and more of each."""
+    if not len(which):
+        return found
+    part = problem.of_windows(which)
+    grown = tried(part, z, grow_states(part, z, FIRST_GROWN * problem.model.horizon))
+    best = _of_windows(problem, found, which).or_better(part, grown)
+    return _with_windows(problem, found, which, best)
 
 
 def looked_anew(problem: Problem, z: FloatArray, found: States) -> States:
