@@ -7,12 +7,12 @@ one are compared by the same evidence as all others; the likeliest are refitted 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
-from labhil.diagnose.curve import begun, gauged, glance, refined, with_spline
+from labhil.diagnose.curve import begun, deepened, gauged, glance, refined, with_spline
 from labhil.diagnose.found import FittedCurve
 from labhil.diagnose.judge import Data
 from labhil.diagnose.structures.enumerate import RELEVANCE, Choice, Enumeration, Structure
@@ -36,6 +36,7 @@ class CurveOptions:
         refits: structures with a curve that are refitted, at most.
         margin: nats by which a structure may be behind the named one to be refitted.
         iterations: steps of a refit.
+        finished: steps of the one that is chosen, at the end.
         claim: odds (nats) that a curve needs over the named structure.
         relevance: what it explains over what remains beside it, at least.
     """
@@ -43,6 +44,7 @@ class CurveOptions:
     refits: int = 2
     margin: float = 5.0
     iterations: int = 8
+    finished: int = 25
     claim: float = 5.0
     relevance: float = RELEVANCE
 
@@ -78,7 +80,9 @@ class CurveSearch:
                 trial = self._on_part(begin, part)
                 if trial is not None and (best is None or trial.log_odds > best.log_odds):
                     best = trial
-        return best
+        if best is None:
+            return None
+        return replace(best, curved=gauged(deepened(best.curved, self.options.finished)))
 
     def _on_part(self, fitted: Fitted, part: MovedPart) -> FittedCurve | None:
         best: FittedCurve | None = None
@@ -151,7 +155,7 @@ class CurveSearch:
         ways = view.evaluate([(*names, way) for way in view.responses.variants[key]])
         likeliest = max(ways, key=lambda each: each.log_evidence)
         odds = likeliest.log_evidence - log_named if self._matters(view, likeliest.choice) else -np.inf
-        return FittedCurve(gauged(curved), beside, odds)
+        return FittedCurve(curved, beside, odds)
 
     def _without(self, fitted: Fitted, kept: Structure) -> Fitted:
         """The fit with only some of its named terms, on the same windows."""
