@@ -45,6 +45,6 @@ angle = bench(t, torque) + 1e-3 * random.standard_normal(len(t))
 
 recording = lh.recording(t, {"torque": torque}, {"angle": angle}, rig=pendulum)
 print(len(lh.model(pendulum).terms), "effects are offered to the pendulum")
-diagnosis = lh.diagnose(recording, method="evidence")
+diagnosis = lh.diagnose(recording)
 print(diagnosis)
 print("missing:", [effect.term for effect in diagnosis.missing])

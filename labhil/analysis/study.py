@@ -13,7 +13,7 @@ from labhil.analysis.results import Reference, accepted_of, diagnosis_json, fit_
 from labhil.analysis.schema import DiagnosisPart, FitPart, checked
 from labhil.analysis.still import refuse_still
 from labhil.diagnose.answer import Diagnosis
-from labhil.diagnose.diagnosis import METHODS, SEARCH, diagnose
+from labhil.diagnose.diagnosis import METHODS, diagnose
 from labhil.errors import OptionError, UnknownNameError, UsageError
 from labhil.identify.fit import Fit, Options, fit
 from labhil.identify.further_channels import with_help
@@ -121,7 +121,7 @@ def diagnose_study(
     baseline: Sequence[str] | None = None,
     reference: Reference | None = None,
     progress: Progress = lambda text: None,
-    method: str = SEARCH,
+    method: str | None = None,
 ) -> DiagnosisResult:
     """Diagnose; ``reference`` is a fit file that stands for the user's simulation, like ``[nominal]``.
 
@@ -133,7 +133,7 @@ def diagnose_study(
     if chosen is None:
         chosen = terms_of(reference) if reference is not None else rig_model(model.kind).baseline
     terms_named(model, chosen)
-    if method not in METHODS:
+    if method is not None and method not in METHODS:
         raise UnknownNameError("method", method, METHODS)
     with material.naming():
         diagnosis = diagnose(

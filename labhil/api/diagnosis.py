@@ -270,7 +270,7 @@ def diagnose(
     device: str | None = None,
     run: int | None = None,
     seconds: float | None = None,
-    method: str = "search",
+    method: str | None = None,
     progress: Progress = None,
     warn: Warn = None,
 ) -> Diagnosis:
@@ -292,7 +292,8 @@ def diagnose(
         device: Which device, where recordings hold several.
         run: Which run, from 1, where a file holds several.
         seconds: End after so many seconds, with the best so far.
-        method: ``search``, or ``evidence``: much faster, for simulated rigs so far.
+        method: ``evidence``, or ``search``, the slower steps through many gates. None is evidence, of an
+            arm search.
         progress: A function of a line about what is being done, or True for a line on stderr.
         warn: A function of the lines that say, before the work begins, what the recordings lack.
 

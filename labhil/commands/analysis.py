@@ -175,13 +175,12 @@ def diagnose(
         typer.Option(metavar="N", help="End after so many s, with the best so far (so does Ctrl+C)."),
     ] = None,
     method: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="NAME",
-            help="search, or evidence: much faster, for simulated rigs so far.",
-            show_default=True,
+            help="evidence or search (default: evidence; of an arm search).",
         ),
-    ] = "search",
+    ] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw it here (PNG).")] = None,
     html: Annotated[Path | None, typer.Option(help="Write a page about it here (HTML).")] = None,
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,

@@ -68,33 +68,27 @@ def diagnose(
     accepted: Accepted | None = None,
     measured: Record | None = None,
     progress: Callable[[str], None] = lambda text: None,
-    method: str = SEARCH,
+    method: str | None = None,
 ) -> Diagnosis:
     """Find what ``baseline`` lacks on ``searched``, judged on ``held_out``.
 
     ``reference`` are values of the user's own simulation by parameter name; with them a changed
     value can be told from missing physics; ``accepted`` is the model that they are of, with its covariance,
     where there is one. ``measured`` is what was searched before the model prepared it:
-    there faults of the data are looked for.
+    there faults of the data are looked for. ``method`` is one of METHODS, by default what suits the model.
     """
     began = time.perf_counter()
     data = data_of(model, searched, held_out, reference)
-    searched, held_out, sigma = data.search, data.test, data.sigma
+    method = method or usual_method(model)
     progress(f"fitting the baseline: {', '.join(baseline)}")
     terms = [term.key for term in terms_named(model, baseline)]
     data, base, ended_early = _baseline(data, terms)
-    whole = searched if measured is None else measured
+    whole = data.search if measured is None else measured
     faults = all_faults(model, whole)
-    if not usable(whole, faults).fit:
-        reason = "the data are at fault"
-        return _unsearched(data, base, "data_fault", reason, faults, heldout_is_test, began)
-    if not _excited(searched, sigma):
-        reason = "neither input nor output moves beyond the noise"
-        return _unsearched(data, base, "not_decidable", reason, faults, heldout_is_test, began)
-    if ended_early:
-        reason = "ended early, before anything was searched"
-        stated = _unsearched(data, base, "not_decidable", reason, faults, heldout_is_test, began)
-        return replace(stated, complete=False)
+    refused = _refused(data, whole, faults, ended_early)
+    if refused is not None:
+        stated = _unsearched(data, base, *refused, faults, heldout_is_test, began)
+        return replace(stated, complete=not ended_early)
     look = partial(
         _found, terms=terms, reference=reference, accepted=accepted, progress=progress, method=method
     )
@@ -138,6 +132,28 @@ def diagnose(
         complete=found.complete,
         remainder=find_remainder(_names(found, told), *end.accepted, end.data.test, end.before, end.after),
     )
+
+
+def usual_method(model: Model) -> str:
+    """How a model is searched: by evidence; inverse dynamics by steps, which name fewer small effects."""
+    return EVIDENCE if model.state_names else SEARCH
+
+
+def _refused(
+    data: Data, measured: Record, faults: tuple[Fault, ...], ended_early: bool
+) -> tuple[str, str] | None:
+    """The verdict without a search, and why there is none; None where the data can be searched."""
+    if not usable(measured, faults).fit:
+        return "data_fault", "the data are at fault"
+    if not _excited(data.search, data.sigma):
+        return "not_decidable", "neither input nor output moves beyond the noise"
+    duration, horizon = data.search.duration, data.model.horizon
+    if data.model.state_names and duration < horizon:
+        reason = f"too short: {duration:.3g} s were searched, and what a model of this rig lacks takes "
+        return "not_decidable", reason + f"{horizon:.3g} s to show"
+    if ended_early:
+        return "not_decidable", "ended early, before anything was searched"
+    return None
 
 
 def _names(found: Found, curves: Sequence[Unmodelled]) -> list[str]:

@@ -66,7 +66,7 @@ class Left:
 def effective_samples(fitted: Fitted, joint: int | None = None) -> float:
     """How many independent residuals those of a fit are worth, or those of one joint's output."""
     problem = fitted.problem
-    return independent(_channels(fitted, joint), problem.begins, problem.telling)
+    return independent(_channels(fitted, joint), problem.begins, float(problem.telling.mean()))
 
 
 def independent(residuals: FloatArray, begins: Sequence[int] = (0,), telling: float = 1.0) -> float:

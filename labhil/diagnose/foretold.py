@@ -128,10 +128,10 @@ class _Slopes:
         lin = problem.linearise(Point(z, held.states), held.residuals)
         slopes = problem.project(lin, lin.by_parameters)
         rows = held.residuals.reshape(-1, len(problem.sigma))
-        worth = independent(rows, problem.begins, problem.telling) / max(held.cost, 1e-300)
+        worth = independent(rows, problem.begins, float(problem.telling.mean())) / max(held.cost, 1e-300)
         return cls(worth * slopes.T @ held.residuals, worth * slopes.T @ slopes, worth)
 
 
 def _left(problem: Problem, held: States, price: float) -> Left:
     rows = held.residuals.reshape(-1, len(problem.sigma))
-    return Left(rows, problem.begins, problem.telling, float(price))
+    return Left(rows, problem.begins, float(problem.telling.mean()), float(price))

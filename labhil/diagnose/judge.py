@@ -9,7 +9,7 @@ from scipy import stats
 
 from labhil.diagnose.evidence import Evidence, Left
 from labhil.identify.problem import begins_among
-from labhil.identify.rounding import telling_share
+from labhil.identify.rounding import telling_shares
 from labhil.identify.score import Score, score
 from labhil.identify.window_states import held_at
 from labhil.identify.windows import fit_windows
@@ -74,7 +74,7 @@ class Data:
         return Left(
             found.residuals.reshape(-1, len(self.test_sigma)),
             begins_among(self.test, windows),
-            telling_share(self.test, self.test_sigma),
+            float(telling_shares(self.test, self.test_sigma).mean()),
         )
 
     @property

@@ -51,8 +51,11 @@ PAST = 10
 SMALLEST = 1e-6
 """Share of an input's spread below which what is left of a prediction is rounding."""
 
-TERMS = ("viscous_friction", "coulomb_friction")
+TERMS = ("viscous_friction", "coulomb_friction", "constant_force")
 """What nearly every rig has, and what delays its answers."""
+
+PLAY = ("backlash", "dead_zone")
+"""What moves the answers to a reversal, so that an offset and another stamp may stand in for it."""
 
 
 def all_faults(model: Model, record: Record) -> tuple[Fault, ...]:
@@ -85,7 +88,7 @@ def late_input(model: Model, record: Record) -> Fault | None:
     if part is None:
         return None
     best = _best_of(model, [(_earlier(part, samples), samples) for samples in range(FURTHEST + 1)])
-    if not best:
+    if not best or _is_play(model, part, best):
         return None
     name, shift = record.input_names[0], -best * record.period
     count = f"{best} sample{'s' if best > 1 else ''}"
@@ -170,8 +173,22 @@ def _best_of(model: Model, records: Sequence[tuple[Record, int]]) -> int | None:
     return _clearly_best(_fits(model, fitted, thorough=True), surprises)
 
 
-def _fits(model: Model, records: Iterable[Record], *, thorough: bool) -> list[Fitted]:
-    terms = [term for term in TERMS if term in model.terms]
+def _is_play(model: Model, record: Record, samples: int) -> bool:
+    """Whether play explains a record as well as an input that is so many samples late."""
+    (late,) = _fits(model, [_earlier(record, samples)], thorough=True)
+    newest = int(record.input_holds[0] is Hold.LINEAR)
+    surprise = _surprise(record, newest + samples) - _surprise(record, newest)
+    for play in PLAY:
+        fits = _fits(model, [record], thorough=True, more=(play,)) if play in model.terms else []
+        if any(fit.solution.cost < late.solution.cost + surprise + 2.0 * FAR_BETTER for fit in fits):
+            return True
+    return False
+
+
+def _fits(
+    model: Model, records: Iterable[Record], *, thorough: bool, more: Sequence[str] = ()
+) -> list[Fitted]:
+    terms = [term for term in (*TERMS, *more) if term in model.terms]
     length = IN_HORIZONS * model.horizon
     try:
         return [

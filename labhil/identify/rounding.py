@@ -14,13 +14,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
+from labhil.compiled import compiled
 from labhil.identify.quantiser import converter_step
 from labhil.physics.model import Record
-from labhil.signals import FloatArray
+from labhil.signals import FloatArray, IntArray
 
 PLACES = 256
 """Within a step, at which the error is tabulated."""
+
+SMOOTHED = 9
+"""Readings whose mean tells where a channel is, between flips of its last digit by noise."""
 
 LEAST = 1e-3
 """Share of the noise's variance below which rounding is as good as independent noise."""
@@ -54,20 +59,32 @@ class Rounding:
         return np.asarray(self.step * np.interp(places, np.arange(PLACES + 1.0), self.error))
 
 
-def telling_share(record: Record, sigma: FloatArray) -> float:
-    """Share of the samples of all channels (n, c) that are worth an independent one, noise ``sigma`` (c,).
+def telling_shares(record: Record, sigma: FloatArray) -> FloatArray:
+    """What share of an independent sample each of all readings is worth, (n, c), with noise ``sigma`` (c,).
 
-    What of rounding lasts tells something new only where a reading changes.
+    Of n readings of one place the error that lasts, a share s of the noise's variance, is the same: they are
+    worth 1/(s + (1 − s)/n) independent ones.
     """
-    shares = []
-    for readings, noise in zip(record.outputs.T, sigma, strict=True):
+    shares = np.ones(record.outputs.shape)
+    for c, (readings, noise) in enumerate(zip(record.outputs.T, sigma, strict=True)):
         rounded = Rounding.of(readings, noise)
-        if rounded is None:
-            shares.append(1.0)
-            continue
-        changes = max(float(np.mean(np.diff(readings) != 0.0)), 1.0 / len(readings))
-        shares.append(1.0 / (1.0 + rounded.share * (1.0 / changes - 1.0)))
-    return float(np.mean(shares))
+        if rounded is not None:
+            stay = _stays(uniform_filter1d(readings, SMOOTHED), rounded.step)
+            shares[:, c] = 1.0 / (1.0 + rounded.share * (np.bincount(stay)[stay] - 1.0))
+    return shares
+
+
+@compiled
+def _stays(values: FloatArray, width: float) -> IntArray:
+    """Number (n,) of the stay that each value is of; it ends where one is further away than the width."""
+    stays = np.zeros(len(values), dtype=np.int64)
+    begin = values[0]
+    for i in range(1, len(values)):
+        stays[i] = stays[i - 1]
+        if abs(values[i] - begin) > width:
+            begin = values[i]
+            stays[i] += 1
+    return stays
 
 
 def _smoothed_saw(dither: float) -> FloatArray:

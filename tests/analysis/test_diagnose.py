@@ -336,6 +336,13 @@ def test_numbers_that_are_not_finite_become_null(null):
     assert isinstance(lost, Estimate)
 
 
+def test_where_too_little_was_searched_that_is_said(model, acquire):
+    slight, test = acquire(BASELINE, 5, duration=0.9 * model.horizon), acquire(BASELINE, 6, duration=20.0)
+    found = diagnose(model, slight, test, heldout_is_test=True, baseline=BASELINE)
+    assert found.verdict == "not_decidable"
+    assert "too short" in found.undecided[0].reason
+
+
 EFFECTS = {
     "dead_zone": {"dead_zone.left": 0.06, "dead_zone.right": 0.08},
     "time_delay": {"time_delay.delay": 0.05},

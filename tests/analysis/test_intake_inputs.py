@@ -144,6 +144,17 @@ def test_a_smooth_input_that_is_late_is_found_by_the_rig_s_model(samples):
         assert f"shift = {-0.01 * samples:.6g}" in fault.statement
 
 
+@pytest.mark.parametrize("samples", [0, 1, 2])
+def test_an_offset_hides_no_late_input(samples):
+    random, terms = np.random.default_rng(3), (*DRY, "constant_force")
+    values = {"constant_force.force": 0.05}
+    record = driven("dc_motor", smooth(), 0.01, values, terms, 35.0, False, random, CHANNELS)[0]
+    record = late(record, samples)
+    fault = late_input(model_for(default_rig("dc_motor"), record), record)
+    assert (fault is None) == (samples == 0)
+    assert fault is None or f"shift = {-0.01 * samples:.6g}" in fault.statement
+
+
 def proportional(error, before):
     return 2.0 * error
 

@@ -186,7 +186,7 @@ def test_a_diagnosis_names_what_the_plant_conceals(
 ) -> None:
     rig = bench(tmp_path, FILE.replace('mass="0.4"', 'mass="0.45872"'))
     run = recorded(rig, seed=11, seconds=20.0, **concealed)  # type: ignore[arg-type]
-    found = lh.diagnose(run, rig, method="evidence")
+    found = lh.diagnose(run, rig)
     assert {effect.term for effect in found.missing} - {"added_inertia"} == missing
     changed = {each.name: each.before for each in found.changed}
     assert changed["viscous_friction.coefficient"] == 0.0

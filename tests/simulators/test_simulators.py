@@ -87,7 +87,7 @@ def test_a_diagnosis_names_what_the_plant_conceals_and_nothing_else(
     concealed: dict[str, Any], missing: list[str]
 ) -> None:
     rig = pendulum()
-    found = lh.diagnose(recorded(rig, seed=11, seconds=20.0, **concealed), method="evidence")
+    found = lh.diagnose(recorded(rig, seed=11, seconds=20.0, **concealed))
     assert [effect.term for effect in found.missing] == missing
 
 
@@ -110,14 +110,14 @@ def test_a_motor_with_damping_of_its_own_is_known_to_lack_dry_friction() -> None
     voltage = 4 * np.sin(2 * t) + 3 * np.sin(5.1 * t + 1) + 2 * np.sin(11 * t)
     noise = 0.05 * np.random.default_rng(4).standard_normal(len(t))
     recording = lh.recording(t, {"voltage": voltage}, {"rate": turned(voltage) + noise}, rig=motor)
-    found = lh.diagnose(recording, lh.model(motor, known={"inertia": 1.2e-3}), method="evidence")
+    found = lh.diagnose(recording, lh.model(motor, known={"inertia": 1.2e-3}))
     assert [effect.term for effect in found.missing] == ["coulomb_friction"]
     assert "viscous_friction" not in str(found.baseline)
 
 
 @pytest.mark.extended
 def test_a_delay_is_named_and_nothing_else() -> None:
-    found = lh.diagnose(recorded(pendulum(), seed=11, seconds=20.0, late=5), method="evidence")
+    found = lh.diagnose(recorded(pendulum(), seed=11, seconds=20.0, late=5))
     assert [effect.term for effect in found.missing] == ["time_delay"]
 
 

@@ -14,8 +14,8 @@ from labhil.errors import UnknownNameError, UsageError
 SCHEMA = "labhil.trials/1"
 INDEX = "trials.json"
 RIG = "rig.toml"
-DIAGNOSE, STEPWISE, EVIDENCE = "diagnose", "stepwise", "evidence"
-METHODS = (DIAGNOSE, STEPWISE, EVIDENCE)
+DIAGNOSE, STEPWISE, EVIDENCE, SEARCH = "diagnose", "stepwise", "evidence", "search"
+METHODS = (DIAGNOSE, STEPWISE, EVIDENCE, SEARCH)
 """How trials may be answered: by a diagnosis, or by what it is compared with."""
 
 

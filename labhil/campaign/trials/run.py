@@ -24,7 +24,6 @@ from labhil.analysis.study import diagnose_study
 from labhil.campaign.benchmarks import benchmark_module
 from labhil.campaign.trials.folder import (
     DIAGNOSE,
-    EVIDENCE,
     STEPWISE,
     Listed,
     Results,
@@ -132,7 +131,7 @@ def diagnose_trial(folder: Path, name: str, method: str = DIAGNOSE) -> dict[str,
         result: dict[str, Any] = (
             _stepwise().stepwise_study(material)
             if method == STEPWISE
-            else diagnose_study(material, method="evidence" if method == EVIDENCE else "search").json
+            else diagnose_study(material, method=None if method == DIAGNOSE else method).json
         )
     except Exception as error:  # noqa: BLE001 - whatever it is, the other trials go on and it is counted
         return {

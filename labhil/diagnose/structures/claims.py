@@ -76,7 +76,7 @@ def _step(term: str, odds: float, probability: float) -> Step:
 
 
 def borne_out(stage: Stage, found: Found) -> Found:
-    """Only what held-out data bear out, too.
+    """Only what held-out data bear out, too: of all claims together none by chance (Bonferroni).
 
     Without what they bear out least, the other doubtful ones are asked anew, and in the end all.
     """
@@ -84,7 +84,7 @@ def borne_out(stage: Stage, found: Found) -> Found:
     asked = _terms(found.missing)
     while found.missing:
         found = replace(found, missing=_validated(stage, found, asked))
-        doubtful = [step for step in found.missing if step.evidence.p_value >= ALPHA]
+        doubtful = [step for step in found.missing if step.evidence.p_value >= ALPHA / len(found.missing)]
         if doubtful:
             least = max(doubtful, key=lambda step: step.evidence.p_value)
             kept = frozenset(without(stage.data.model, found.final.terms, least.terms[0])) - baseline

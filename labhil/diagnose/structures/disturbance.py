@@ -70,17 +70,18 @@ def inner_products(
     disturbance: Disturbance,
 ) -> Grams:
     """Inner products of columns (N·c, m), the windows' states taken out, under every disturbance."""
-    states = spectra(problem, whitened(problem, lin.by_states, correlation))
-    columns = spectra(problem, whitened(problem, matrix, correlation))
+    rho = np.tile(correlation, len(problem.windows.owner))
+    worth = np.minimum(1.0, problem.telling * (1.0 + rho) / (1.0 - rho))
+    weight = np.sqrt(worth)[:, None]
+    states = spectra(problem, weight * whitened(problem, lin.by_states, correlation))
+    columns = spectra(problem, weight * whitened(problem, matrix, correlation))
     if problem.model.state_names:
         strength = response_to_a_force(problem)
     else:
         strength = torque_that_lasts(problem, lin.residuals)
     views = [_view(problem, lin, states, columns, tau * strength) for tau in disturbance.size]
-    rho = float(np.mean(correlation))
-    telling = min(1.0, problem.telling * (1.0 + rho) / (1.0 - rho))
     free = lin.by_states.shape[1] * len(problem.edges)
-    left, dof = (max(rows - free, 10.0) for rows in (len(matrix), len(matrix) * telling))
+    left, dof = (max(rows - free, 10.0) for rows in (len(matrix), float(worth.sum())))
     return grams(views, baseline, len(matrix), left, dof, np.log(disturbance.weight))
 
 
@@ -165,8 +166,8 @@ def torque_that_lasts(problem: Problem, residuals: FloatArray) -> FloatArray:
     """Standard deviation (N·c,) in each part of the spectra of what inverse dynamics leaves of each joint.
 
     There a missing torque is among the residuals as it is, and each joint has its own. It is taken for a
-    process of first order beside white noise, with the size and corner under which the spectrum is likeliest
-    (Whittle 1953).
+    process of first order beside white noise, with the size and corner under which the spectrum of the
+    residuals (N·c,) is likeliest (Whittle 1953).
     """
     power = spectra(problem, residuals[:, None])[:, 0].reshape(-1, len(problem.sigma)) ** 2
     frequency = np.concatenate(
@@ -174,12 +175,10 @@ def torque_that_lasts(problem: Problem, residuals: FloatArray) -> FloatArray:
     )
     lasting = 1.0 / (1.0 + (frequency / TORQUE_CORNERS[:, None]) ** 2)
     shapes = (1.0 + TORQUE_SIZES[:, None, None] ** 2 * lasting).reshape(-1, len(frequency))
-    strength = np.empty_like(power)
-    for c in range(power.shape[1]):
-        best, _ = _likeliest_shape(power[:, c], shapes)
-        size, corner = divmod(best, len(TORQUE_CORNERS))
-        strength[:, c] = TORQUE_SIZES[size] * np.sqrt(lasting[corner])
-    return np.asarray(strength.ravel())
+    unlikely = np.log(shapes).sum(axis=1)[:, None] + (1.0 / shapes) @ power
+    size, corner = np.divmod(np.argmin(unlikely, axis=0), len(TORQUE_CORNERS))
+    strength = TORQUE_SIZES[size, None] * np.sqrt(lasting[corner])
+    return np.asarray(strength.T.ravel())
 
 
 def _edges(problem: Problem) -> list[int]:

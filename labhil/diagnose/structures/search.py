@@ -118,6 +118,8 @@ class StructureSearch:
         self._drop_irrelevant(state)
         if not state.best:
             self._refit_singles(state)
+        for structure in {frozenset[str](), state.best}:
+            self._refit_shapes(state, structure)
         return state
 
     def _settle(self, state: SearchState) -> None:
@@ -222,6 +224,14 @@ class StructureSearch:
             values = {model.parameters[size].key: max(float(theta[own]), 0.0)}
             self._refit_and_enter(state, state.refitted[best].fitted, (best - {term}) | {narrow}, values)
 
+    def _refit_shapes(self, state: SearchState, structure: Structure) -> None:
+        """Refit a structure with each of its shapes begun anew: what stands beside it may have bent one."""
+        near, model = state.refitted[structure].fitted, self.data.model
+        shaped = [t for t in near.terms if any(p.shape for p in model.terms[t].parameters)]
+        starts = [start for term in shaped for start in starts_beside(near, [term])]
+        if starts:
+            self._enter(state, self._refitted(near, near.terms, [{}, *starts]))
+
     def _at(self, fitted: Fitted, absent: Sequence[str] | None = None) -> Enumeration:
         """What may be compared where a fit stands: its own terms, and all others or those ``absent``."""
         seen = responses(self.data, fitted, self.baseline, self.correlation, self.executor, absent=absent)
@@ -276,10 +286,14 @@ class StructureSearch:
             starts += starts_beside(near, fresh)[1:2]
         if self.nominal:
             starts.append({**values, **self.nominal})
+        return self._refitted(near, terms, starts)
+
+    def _refitted(self, near: Fitted, terms: Sequence[str], starts: Sequence[Mapping[str, float]]) -> Fitted:
+        """Fit terms from where a fit stands, with each of these values by key."""
         return fit_terms(
-            model, self.data.search, terms, self.data.window, self.data.sigma,
-            start=with_only(model, near.theta, terms), starts=starts, states=near.solution.point.states,
-            iterations=25, tolerance=1e-4, held=self.data.held,
+            self.data.model, self.data.search, terms, self.data.window, self.data.sigma,
+            start=with_only(self.data.model, near.theta, terms), starts=starts,
+            states=near.solution.point.states, iterations=25, tolerance=1e-4, held=self.data.held,
         )  # fmt: skip
 
     def _enter(self, state: SearchState, fitted: Fitted) -> None:
@@ -345,8 +359,7 @@ def search_structures(
                     begin = finished[-1].leading
                     data, correlation = _in_noise_beside(data, finished[-1].best)
                 stage = replace(data, window=length)
-                if data.model.state_names:
-                    begin = [on_windows(stage, fitted) for fitted in begin]
+                begin = [on_windows(stage, fitted) for fitted in begin]
                 search = StructureSearch(
                     stage, baseline.terms, correlation, executor, progress, options, nominal
                 )

@@ -166,7 +166,7 @@ def drive(sizes: Sizes, joint: int) -> tuple[Term, ...]:
         _one("joint_elasticity", joint, Enters.FORCE,
              ("a joint that gives way: the link is not where the drive is", "q_link = q − κ·τ_load",
               "spring between drive and link, to first order in κ", "fast motion under load"),
-             Parameter("joint_elasticity.compliance", "rad/(N·m)", compliance, 0.0, 20.0 * compliance,
+             Parameter("joint_elasticity.compliance", "rad/(N·m)", compliance, 0.0, 100.0 * compliance,
                        starts=(0.1 * compliance,), step=1e-3, joint=joint)),
         _one("sensor_offset", joint, Enters.OUTPUT,
              ("an offset of the measured current", "i = τ/K + i_0",
