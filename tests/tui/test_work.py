@@ -21,6 +21,7 @@ from labhil.recording.reader import read_recording
 from labhil.tui.app import LabApp
 from labhil.tui.dialogs import Choose, Tell
 from labhil.tui.lab import Lab
+from labhil.tui.overlay import OverlayScreen
 
 PATIENCE = 100.0
 LABHIL = (sys.executable, "-P", "-m", "labhil")
@@ -58,6 +59,43 @@ async def until(pilot: Pilot[None], condition: Callable[[], bool]) -> None:
 async def recordings(pilot: Pilot[None], app: LabApp) -> None:
     await pilot.press("4")
     await until(pilot, lambda: app.query_one("#recordings-table", DataTable).row_count == 2)
+
+
+def test_terms_are_switched_over_the_measurement(folder: Path) -> None:
+    async def drive(pilot: Pilot[None], app: LabApp) -> None:
+        await pilot.press("5")
+        await until(pilot, lambda: app.query_one("#results-table", DataTable).row_count == 2)
+        await pilot.press("down", "o")
+        screen = app.screen
+        assert isinstance(screen, OverlayScreen)
+        await until(pilot, lambda: screen.shown == frozenset())
+        errors = screen.query_one("#overlay-errors", Static)
+        whole = str(errors.content)
+        assert whole.startswith("ball_position: RMSE 0.000")
+        await pilot.press("n")
+        await until(pilot, lambda: screen.shown is not None and len(screen.shown) == 7)
+        assert str(errors.content).endswith(f", all terms {whole.removeprefix('ball_position: RMSE ')}")
+        assert str(errors.content) != whole
+        await pilot.press("a")
+        await until(pilot, lambda: screen.shown == frozenset())
+        assert str(errors.content) == whole
+        await pilot.press("escape")
+        assert app.screen is not screen
+
+    work(folder, drive)
+
+
+def test_a_result_without_its_recording_says_what_is_missing(folder: Path) -> None:
+    (folder / "ball_beam_test.mcap").unlink()
+
+    async def drive(pilot: Pilot[None], app: LabApp) -> None:
+        await pilot.press("5")
+        await until(pilot, lambda: app.query_one("#results-table", DataTable).row_count == 2)
+        await pilot.press("o")
+        title = app.screen.query_one("#overlay-title", Static)
+        await until(pilot, lambda: "expected its recording ball_beam_test.mcap" in str(title.content))
+
+    work(folder, drive)
 
 
 @pytest.mark.parametrize("size", [(80, 24), (160, 50)])
