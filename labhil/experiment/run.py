@@ -34,7 +34,7 @@ from labhil.experiment.control import RunControl, RunState
 from labhil.experiment.devices import Devices, at_once, host_config
 from labhil.experiment.experiment import TWIN, Experiment
 from labhil.experiment.hooks import Hook
-from labhil.experiment.interruption import Interruption
+from labhil.experiment.interruption import Interruption, raise_standing_stop
 from labhil.experiment.plan import DevicePlan, Plan, make_plan
 from labhil.experiment.points import is_campaign
 from labhil.experiment.remote import offer_control
@@ -274,18 +274,14 @@ class _Run:
     def _look(self, recorder: Recorder, devices: Devices) -> None:
         """Do what was asked for, and raise what has gone wrong anywhere."""
         self._look_at_requests()
+        self._check(recorder, devices)
+
+    def _check(self, recorder: Recorder, devices: Devices) -> None:
+        if self._interrupted():
+            raise RunStoppedError(f"stopped by {self._interrupted.reason}")
         recorder.check()
         devices.look_after()
-        self._look_at_latch()
-
-    def _look_at_latch(self) -> None:
-        """Hear the emergency stop without any device and without the bus, too."""
-        try:
-            standing = read_latch()
-        except (LabhilError, OSError):
-            return  # a directory that cannot be read is no stop; hosts look there as well
-        if standing is not None:
-            raise EmergencyStopError(standing.describe())
+        raise_standing_stop()
 
     def _look_at_requests(self) -> None:
         """Do what was asked for; raises _Enough or RunStoppedError where that is to end."""
@@ -350,9 +346,11 @@ class _Run:
             time.sleep(AFTER_EMERGENCY_STOP)
         elif any(device.spec.waypoint_rate for device in self._plan.devices):
             time.sleep(COMING_TO_REST)
-        look = partial(self._look, recorder, devices)
-        failure = failure or self._around.after(devices, look, error, reason)
-        devices.end_hosts()
+        try:
+            look = partial(self._check, recorder, devices)
+            failure = failure or self._around.after(devices, look, error, reason)
+        finally:
+            devices.end_hosts()
         return failure
 
     def _give_up(self, reason: str) -> None:
@@ -368,13 +366,8 @@ class _Run:
 
     def _publish(self, kind: str, message: str, t_ns: int | None = None) -> None:
         if self._bus is not None:
-            state = self._control.state.value
-            event = {
-                "t_ns": unix_ns() if t_ns is None else t_ns,
-                "kind": kind,
-                "state": state,
-                "message": message,
-            }
+            stamp, state = unix_ns() if t_ns is None else t_ns, self._control.state.value
+            event = {"t_ns": stamp, "kind": kind, "state": state, "message": message}
             # a bus that is closed must not hide why the run ends
             with suppress(BusError):
                 publish_event(self._bus, "run", event)

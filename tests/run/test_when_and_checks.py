@@ -252,6 +252,23 @@ def test_a_check_after_the_steps_sees_the_device_in_its_safe_state(
         assert messages(recording, "failed") == [result.reason]
 
 
+def test_a_check_after_the_steps_ends_with_the_emergency_stop_too(
+    tmp_path: Path, no_stop_stands: None
+) -> None:
+    written = text(checks=check("after", "speed > 1e5", "within = 600.0"))
+    experiment = parse_experiment(written, tmp_path / "patient.toml")
+    control = RunControl()
+    results: list[RunResult] = []
+    thread = threading.Thread(
+        target=lambda: results.append(run_experiment(experiment, tmp_path, control=control))
+    )
+    thread.start()
+    assert control.wait_for(RunState.STOPPING, timeout=PATIENCE)
+    press_everywhere("a test", "while it checks")
+    thread.join(PATIENCE)
+    assert isinstance(results[0].error, EmergencyStopError), results[0].reason
+
+
 HOOKS = """
 import json, sys, time
 from pathlib import Path
