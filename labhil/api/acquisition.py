@@ -104,6 +104,8 @@ class Experiment:
         about: Mapping[str, Any] | None = None,
         repeat: int = 1,
         sweep: Mapping[str, Any] | None = None,
+        checks: Sequence[Mapping[str, Any]] = (),
+        hook: str | None = None,
         record: Mapping[str, Any] | None = None,
         directory: PathLike = ".",
     ) -> None:
@@ -118,6 +120,9 @@ class Experiment:
             about: ``operator``, ``sample``, ``notes`` and ``tags``, which stand in the recording.
             repeat: How many recordings of each run; see :meth:`run_all`.
             sweep: ``over``, values by place: ``{"over": {"steps.0.level": [1.0, 2.0]}}``.
+            checks: ``condition``, ``at`` ("before" or "after" the steps) and ``within`` of each.
+            hook: A function that is called with a :class:`RunContext` before and after each run, such as
+                ``"lab.py:tell"``.
             record: ``path``, the name of the recording's file.
             directory: Where relative paths begin.
 
@@ -134,6 +139,10 @@ class Experiment:
             data["record"] = record
         if sweep is not None:
             data["sweep"] = sweep
+        if checks:
+            data["checks"] = checks
+        if hook is not None:
+            data["experiment"]["hook"] = hook
         try:
             self._file = ExperimentFile.model_validate({**data, "path": path})
         except ValidationError as error:

@@ -29,6 +29,7 @@ NAMES = [
     "Quantity",
     "Recording",
     "Rival",
+    "RunContext",
     "Score",
     "Simulation",
     "Simulator",
