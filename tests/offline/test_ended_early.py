@@ -43,7 +43,7 @@ def test_a_fit_that_is_ended_early_gives_the_best_so_far(material: Material, mom
     assert result.json["train"]["rmse"] > 0.0
 
 
-@pytest.mark.parametrize("moment", ["fitting the baseline", "screening"])
+@pytest.mark.parametrize("moment", ["fitting the baseline", "evidence of all"])
 def test_a_diagnosis_that_is_ended_early_claims_no_more_than_it_tried(
     material: Material, moment: str
 ) -> None:
