@@ -16,7 +16,7 @@ from typing import Literal
 
 from labhil.bus.authentication import Refusals
 from labhil.bus.session import Bus
-from labhil.errors import BusError, LabhilError
+from labhil.errors import BusError, LabhilError, RunError
 from labhil.experiment.checks import CheckSection
 from labhil.experiment.device_run import DeviceRun
 from labhil.experiment.plan import DevicePlan
@@ -82,11 +82,11 @@ class Devices:
             trouble = run.failure()
             if trouble is not None:
                 raise trouble
-            if deaf := self._bus.failure():
-                raise BusError(f"the run no longer hears everything: {deaf}")
             patience = ENDING if run.ends else SILENCE
             if not run.comes_back and time.monotonic() - run.heard_at > patience:
                 raise BusError(f"{run.plan.name}: no samples on the bus for {patience:g} s")
+        if deaf := self._bus.failure():
+            raise BusError(f"the run no longer hears everything: {deaf}")
 
     def step_notes(self) -> Iterator[str]:
         """Yield what conditions have brought about: steps that waited, began, or ended early, each once."""
@@ -153,7 +153,10 @@ def host_config(device: DevicePlan, address: str, endpoint: str) -> HostConfig:
 
 
 def at_once(actions: Sequence[Callable[[], object]]) -> list[LabhilError | None]:
-    """Do all of this at the same time, and return what each of them raised (of ours), in order."""
+    """Do all of this at the same time, and return what each of them raised, in order.
+
+    What is no error of ours becomes a RunError: one action that has a fault must not keep a device unstopped.
+    """
     if not actions:
         return []
     with ThreadPoolExecutor(len(actions), thread_name_prefix="at once") as pool:
@@ -165,4 +168,6 @@ def _error_of(action: Callable[[], object]) -> LabhilError | None:
         action()
     except LabhilError as error:
         return error
+    except BaseException as error:  # noqa: BLE001 - in a thread of a pool it reaches nobody else
+        return RunError(f"the run itself failed: {error!r}")
     return None

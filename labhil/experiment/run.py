@@ -26,6 +26,7 @@ from labhil.errors import (
     CommandRefusedError,
     EmergencyStopError,
     LabhilError,
+    RunError,
     RunStoppedError,
     UsageError,
 )
@@ -185,6 +186,9 @@ class _Run:
                 reason = str(enough)
             except LabhilError as found:
                 error = found
+            except Exception as found:  # noqa: BLE001 - a fault of ours must not look like a run that has ended well
+                error = RunError(f"the run itself failed: {found!r}")
+                error.__cause__ = found
             finally:
                 failure = self._stop(recorder, devices, error, reason)
             error = error or failure
