@@ -278,6 +278,7 @@ class DeviceControl:
                 answer = self._obey(request, now)
             except CommandRefusedError as error:
                 if request.answer is None:
+                    self._look_at_latch(now)  # a stop that came with it is told before what it refuses
                     self._refuse_once(str(error))
                 else:
                     request.answer.set_exception(error)
