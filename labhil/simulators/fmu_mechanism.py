@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from math import ceil
 from threading import Lock
 
@@ -11,7 +12,7 @@ import numpy as np
 from labhil.physics.model import Record, Windows
 from labhil.signals import FloatArray
 from labhil.simulators.fmu_file import Exchanged, FmuFile, Stepping, answers
-from labhil.simulators.rollouts import means
+from labhil.simulators.pointwise import accelerations_at, extrapolated, rolled_out
 from labhil.simulators.stepped import Held, Nodes
 from labhil.simulators.tables import Ask
 
@@ -53,10 +54,9 @@ class ExchangedMechanism:
         """Its acceleration."""
 
         def accelerations(x: FloatArray, v: FloatArray, u: FloatArray) -> FloatArray:
-            points = zip(x.tolist(), v.tolist(), u.tolist(), strict=True)
             with self._lock:
                 self._at(numbers)
-                return np.array([self._rates(0.0, at, drive)[1] for *at, drive in points])
+                return accelerations_at(partial(self._rates, 0.0), x, v, u)
 
         return accelerations
 
@@ -116,9 +116,8 @@ class SteppingMechanism:
         starts = self._starts(numbers)
 
         def accelerations(x: FloatArray, v: FloatArray, u: FloatArray) -> FloatArray:
-            points = zip(x.tolist(), v.tolist(), u.tolist(), strict=True)
             with self._lock:
-                return np.array([self._rates(starts, at, drive)[1] for *at, drive in points])
+                return accelerations_at(partial(self._rates, starts), x, v, u)
 
         return accelerations
 
@@ -149,42 +148,7 @@ class SteppingMechanism:
             self._fmu.start(starts, state, drive)
             here = np.asarray(state, dtype=np.float64)
             once, twice = (np.array(self._fmu.step(drive, h)) for _ in range(2))
-        found = 2.0 * (once - here) / h - (twice - here) / (2.0 * h)
-        return [float(found[0]), float(found[1])]
+        return [float(x) for x in extrapolated(here, once, twice, h)]
 
     def _starts(self, numbers: Sequence[float]) -> dict[int, float]:
         return {k: float(x) for k, x in zip(self._parameters, numbers, strict=False)}
-
-
-def rolled_out(
-    record: Record,
-    nodes: Nodes,
-    windows: Windows,
-    states: FloatArray,
-    go: Callable[[FloatArray, float, float], FloatArray],
-    begin: Callable[[FloatArray, float], None] = lambda state, drive: None,
-) -> FloatArray:
-    """States (N, 2) of all windows, from sample to sample.
-
-    Args:
-        record: The recording.
-        nodes: Times and values of the input.
-        windows: Stretches of the recording.
-        states: Position and velocity (w, 2) that each begins with.
-        go: State, mean of the input, length (s) to the state after it.
-        begin: Is told the first state and input of each window.
-
-    Returns:
-        The states at the samples of all windows.
-    """
-    out, row = np.empty((len(windows.rows), 2)), 0
-    for w, (first, last) in enumerate(zip(windows.first, windows.last, strict=True)):
-        t, state = record.t[first:last], np.asarray(states[w], dtype=np.float64)
-        drives = means(nodes, t) if len(t) > 1 else np.zeros(1)
-        begin(state, float(drives[0]))
-        out[row] = state
-        for k, (drive, length) in enumerate(zip(drives.tolist(), np.diff(t).tolist(), strict=False), 1):
-            state = go(state, drive, length)
-            out[row + k] = state
-        row += len(t)
-    return out

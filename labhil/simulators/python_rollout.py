@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from labhil.errors import UsageError
 from labhil.physics.model import Record, Windows
 from labhil.signals import FloatArray
+from labhil.simulators.pointwise import accelerations_at, extrapolated
 from labhil.simulators.rollouts import means
 from labhil.simulators.stepped import Held, Nodes
 from labhil.simulators.tables import Ask
@@ -48,17 +50,11 @@ class PythonRollout:
         """Rates of both states, from a short step and one of twice its length (Richardson)."""
         h, here = self._length, np.asarray(state, dtype=np.float64)
         found = self._run(numbers, h * np.arange(3.0), np.full(3, drive), here)
-        rates = 2.0 * (found[1] - here) / h - (found[2] - here) / (2.0 * h)
-        return [float(x) for x in rates]
+        return [float(x) for x in extrapolated(here, found[1], found[2], h)]
 
     def ask(self, numbers: Sequence[float]) -> Ask:
         """Its acceleration, from short rollouts."""
-
-        def accelerations(x: FloatArray, v: FloatArray, u: FloatArray) -> FloatArray:
-            points = zip(x.tolist(), v.tolist(), u.tolist(), strict=True)
-            return np.array([self.rates(numbers, at, drive)[1] for *at, drive in points])
-
-        return accelerations
+        return partial(accelerations_at, partial(self.rates, numbers))
 
     def inertia(self, numbers: Sequence[float]) -> float | None:
         """Only its input is known to push."""
