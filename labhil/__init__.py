@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     from labhil.api.simulation import Simulation
     from labhil.api.verification import Verification, verify
     from labhil.experiment.bench import Bench
+    from labhil.experiment.hooks import RunContext
+    from labhil.simulators.fmu import fmu_simulator
     from labhil.simulators.mjcf import mujoco_simulator
     from labhil.simulators.simulator import Coordinate, Quantity, Simulator, simulator
 
@@ -57,6 +59,7 @@ __all__ = [
     "Quantity",
     "Recording",
     "Rival",
+    "RunContext",
     "Score",
     "Simulation",
     "Simulator",
@@ -67,6 +70,7 @@ __all__ = [
     "diagnose",
     "errors",
     "fit",
+    "fmu_simulator",
     "load",
     "model",
     "mujoco_simulator",

@@ -7,9 +7,10 @@ a number of thousands of digits with a plain ValueError. Here all of that is a D
 from __future__ import annotations
 
 import json
+import sys
 import tomllib
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeGuard
 
 DEEPEST = 64
 """Levels of tables and lists within one another. Our own files have at most 8, and Python's parsers and
@@ -49,6 +50,13 @@ def parse_toml(text: str) -> dict[str, Any]:
         raise DocumentError(_too_deep()) from None
     _not_too_deep(data)
     return data
+
+
+def is_finite_number(value: object) -> TypeGuard[float]:
+    """Whether a value is a number that a float can hold; whole numbers in a text may be too long."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return False
+    return abs(value) <= sys.float_info.max
 
 
 def _too_deep() -> str:

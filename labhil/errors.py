@@ -22,6 +22,8 @@
     └── RunError                   exit 1: the run itself came to grief
         ├── LimitTrippedError      a sample left the limits of the rig file
         ├── InterlockError         a sample tripped an interlock of the rig file
+        ├── ConditionError         a condition of the experiment file did not hold in time
+        ├── HookError              a function that the experiment file names has failed
         ├── RunStoppedError        a person or a signal stopped the run
         ├── EmergencyStopError     the emergency stop was pressed
         ├── BusError               the bus or a process of ours failed
@@ -166,6 +168,14 @@ class LimitTrippedError(RunError):
 
 class InterlockError(RunError):
     """A sample tripped an interlock of the rig file."""
+
+
+class ConditionError(RunError):
+    """A condition of the experiment file did not hold in time."""
+
+
+class HookError(RunError):
+    """A function of somebody's own that the experiment file names has failed."""
 
 
 class RunStoppedError(RunError):

@@ -41,6 +41,7 @@ PACKAGES: Mapping[str, Package] = {
     "rtde_control": UR_RTDE,
     "rtde_io": UR_RTDE,
     "mujoco": Package("mujoco", "arm"),
+    "fmpy": Package("fmpy", "fmu"),
     "cma": Package("cma", "search"),
     "emcee": Package("emcee", "search"),
     "skfem": Package("scikit-fem", "field"),

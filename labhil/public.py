@@ -31,6 +31,8 @@ WHERE = {
     "labhil.api.simulation": ("Simulation",),
     "labhil.api.verification": ("Verification", "verify"),
     "labhil.experiment.bench": ("Bench",),
+    "labhil.experiment.hooks": ("RunContext",),
+    "labhil.simulators.fmu": ("fmu_simulator",),
     "labhil.simulators.mjcf": ("mujoco_simulator",),
     "labhil.simulators.simulator": ("Coordinate", "Quantity", "Simulator", "simulator"),
 }

@@ -27,7 +27,9 @@ def object_of(stated: str, folder: Path) -> object:
         raise UsageError(f"expected a Python file and a name in it, like bench.py:pendulum, found {stated!r}")
     path = (folder / file).resolve()
     if not path.is_file():
-        raise UsageError(f"expected the Python file {path}, found none (paths are relative to the rig file)")
+        raise UsageError(
+            f"expected the Python file {path}, found none (paths are relative to the file that names them)"
+        )
     spec = importlib.util.spec_from_file_location(f"labhil_file_{path.stem}", path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)

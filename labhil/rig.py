@@ -4,208 +4,48 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from importlib import import_module
-from math import inf, isfinite
+from math import isfinite
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 from pydantic import (
     BaseModel,
-    ConfigDict,
     Field,
     ValidationError,
     field_validator,
     model_validator,
 )
-from pydantic_core import PydanticCustomError
 
+from labhil.complaints import explain, fields_at
 from labhil.documents import DocumentError, parse_toml
 from labhil.errors import MissingExtraError, RigFileError, UsageError, suggestion
 from labhil.kinds import Known, RigKind, kind_named, kind_names
 from labhil.python_file import object_of
-from labhil.signals import Hold
+from labhil.rig_sections import (
+    Channel,
+    Interlock,
+    Limit,
+    Metric,
+    ModelSection,
+    OwnModel,
+    RigSection,
+    Section,
+    Table,
+)
 from labhil.toml_text import toml_value
-
-Threshold = Annotated[float, Field(allow_inf_nan=False)] | None
-
 
 LARGEST_FILE = 32 << 20
 """Bytes of a file that a rig file names. It goes into every recording; half a million points fit into it."""
 
 
-MUJOCO_FILES = (".xml", ".mjcf", ".urdf")
-MUJOCO_READER = "labhil.simulators.mjcf"
-"""What reads a MuJoCo file; imported where a rig file names one."""
+FILES = {".xml": "mujoco", ".mjcf": "mujoco", ".urdf": "mujoco", ".fmu": "fmu"}
+"""Which key of ``[model]`` a simulator's file is given by, by the end of its name."""
 
-
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class RigSection(_Section):
-    """``[rig]``: which kind of rig this is."""
-
-    kind: str
-
-    @field_validator("kind")
-    @classmethod
-    def _exists(cls, value: str) -> str:
-        names = kind_names()
-        if value not in names:
-            raise ValueError(f"no such rig{suggestion(value, names)}; known: {', '.join(sorted(names))}")
-        return value
-
-
-class ModelSection(_Section):
-    """``[model]``: the simulator of a user's own, in place of ``[rig]``.
-
-    Either ``python``, a Python file and a name in it, or ``mujoco``, an MJCF or URDF file. Of that,
-    ``inputs`` and ``outputs`` give actuators, joints and sensors by the names of the recorded signals.
-    """
-
-    python: str | None = None
-    mujoco: str | None = None
-    inputs: dict[str, str] | None = None
-    outputs: dict[str, str] | None = None
-
-    @model_validator(mode="after")
-    def _one_of_them(self) -> ModelSection:
-        if (self.python is None) == (self.mujoco is None):
-            raise ValueError('give either python = "FILE.py:NAME" or mujoco = "FILE.xml"')
-        if self.python is not None and (self.inputs or self.outputs):
-            raise ValueError("inputs and outputs are for mujoco; a simulator in Python states its own")
-        return self
-
-
-class _OwnModel(_Section):
-    """That section by itself."""
-
-    model: ModelSection
-
-
-class Limit(_Section):
-    """What a signal may be: ``min`` and ``max`` in its unit, ``rate`` in its unit per second."""
-
-    min: float = float("-inf")
-    max: float = float("inf")
-    rate: Annotated[float, Field(gt=0)] = float("inf")
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Limit:
-        if not self.min < self.max:
-            raise ValueError(f"min ({self.min:g}) must be smaller than max ({self.max:g})")
-        return self
-
-
-class Interlock(_Section):
-    """One of ``[interlocks]``: beyond a trip threshold the device goes to its safe state.
-
-    It stays there until the signal is back inside the resume thresholds (by default those of the trip),
-    and somebody takes the command anew: nothing moves again by itself. ``then`` says what a run does:
-    ``abort`` ends it, ``pause`` lets it wait for somebody to resume it. Thresholds in the signal's unit.
-    """
-
-    trip_above: Threshold = None
-    resume_below: Threshold = None
-    trip_below: Threshold = None
-    resume_above: Threshold = None
-    then: Literal["abort", "pause"] = "abort"
-
-    @model_validator(mode="after")
-    def _sensible(self) -> Interlock:
-        if self.trip_above is None and self.trip_below is None:
-            raise ValueError("give trip_above, trip_below or both: nothing would trip")
-        if self.resume_below is not None and (self.trip_above is None or self.resume_below > self.trip_above):
-            raise ValueError("resume_below needs a trip_above that is not smaller")
-        if self.resume_above is not None and (self.trip_below is None or self.resume_above < self.trip_below):
-            raise ValueError("resume_above needs a trip_below that is not larger")
-        if self.resume_low >= self.resume_high:
-            raise ValueError(
-                f"between {self.resume_low:g} and {self.resume_high:g} there is nothing to resume at"
-            )
-        return self
-
-    @property
-    def resume_high(self) -> float:
-        """The upper end of where the interlock is lifted."""
-        above = inf if self.trip_above is None else self.trip_above
-        return above if self.resume_below is None else self.resume_below
-
-    @property
-    def resume_low(self) -> float:
-        """The lower end of where the interlock is lifted."""
-        below = -inf if self.trip_below is None else self.trip_below
-        return below if self.resume_above is None else self.resume_above
-
-
-class Metric(_Section):
-    """``[metric]``: horizon of the windowed simulation, s; cut-off of inverse dynamics, Hz."""
-
-    horizon: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
-    cut_off: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
-
-
-class Table(_Section):
-    """``[table]``: how to read a file that is not already in our names and units.
-
-    ``thousands`` is the mark that groups digits; ``part`` (from 1) the stretch to take of a table whose clock
-    begins anew; ``blanks = "fill"`` also fills empty cells of a slower output; ``bad_rows`` drops or refuses
-    what cannot be read: without it a few rows are dropped, and many refused.
-    """
-
-    header: bool | None = None
-    delimiter: Literal["comma", "tab", "whitespace", "semicolon"] | None = None
-    rate: Annotated[float, Field(gt=0)] | None = None
-    decimal: Literal[".", ","] = "."
-    thousands: Literal[".", ",", "'", " "] | None = None
-    skip_rows: Annotated[int, Field(ge=0)] = 0
-    comment: str | None = None
-    sheet: str | None = None
-    part: Annotated[int, Field(ge=1)] | None = None
-    blanks: Literal["fill"] | None = None
-    bad_rows: Literal["drop", "fail"] | None = None
-
-    @model_validator(mode="after")
-    def _marks_differ(self) -> Table:
-        if self.thousands == self.decimal:
-            raise ValueError(f"decimal and thousands are both {self.decimal!r}; they must differ")
-        return self
-
-
-Column = Annotated[int, Field(ge=0)] | str
-Factor = float | list[float]
-
-
-class Channel(_Section):
-    """One entry of ``[channels]``: value = raw · ``scale`` + ``offset``; columns by name or number.
-
-    ``hold`` says how an input runs between samples: "zero" keeps the earlier value, "linear" is straight.
-    ``unwrap`` is the period (in the signal's unit) after which a position begins anew, to be undone.
-    ``shift`` (s) is added to the channel's own stamps: −0.01 for stamps that are 10 ms late.
-    """
-
-    column: Column | None = None
-    columns: list[Column] | None = None
-    scale: Factor = 1.0
-    offset: Factor = 0.0
-    hold: Hold | None = None
-    unwrap: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
-    shift: Annotated[float, Field(allow_inf_nan=False)] = 0.0
-
-    @model_validator(mode="after")
-    def _one_way(self) -> Channel:
-        if (self.column is None) == (self.columns is None):
-            raise ValueError("give either `column` (one) or `columns` (a list)")
-        for name, factor in (("scale", self.scale), ("offset", self.offset)):
-            if isinstance(factor, list) and len(factor) != len(self.sources()):
-                counts = f"{len(factor)} values for {len(self.sources())} columns"
-                raise ValueError(f"`{name}` has {counts}; give one, or one each")
-        return self
-
-    def sources(self) -> tuple[Column, ...]:
-        """The columns of the file that this channel is made of, in order."""
-        if self.columns is not None:
-            return tuple(self.columns)
-        return () if self.column is None else (self.column,)
+READERS = {
+    "mujoco": ("labhil.simulators.mjcf", "mujoco_simulator"),
+    "fmu": ("labhil.simulators.fmu", "fmu_simulator"),
+}
+"""What reads such a file; imported where a rig file names one."""
 
 
 class KnownFile(NamedTuple):
@@ -222,12 +62,14 @@ class KnownFile(NamedTuple):
             raise RigFileError(f"{self.source}: expected text (UTF-8), found {error}") from error
 
 
-class RigFile(_Section):
+class RigFile(BaseModel):
     """A whole rig file; ``path`` and ``text`` say where it came from (a file or an attachment).
 
     ``files`` holds the content of the files that ``[known]`` names, by the names in ``[known]``, so that a
     recording can carry them.
     """
+
+    model_config = Section.model_config
 
     rig: RigSection
     model: ModelSection | None = None
@@ -369,26 +211,27 @@ def _with_kind(text: str, path: Path) -> str:
     if "model" not in data:
         return text
     try:
-        section = _OwnModel.model_validate({"model": data["model"]}).model
+        section = OwnModel.model_validate({"model": data["model"]}).model
     except ValidationError as error:
-        raise RigFileError(explain(error, path, _OwnModel)) from error
+        raise RigFileError(explain(error, path, OwnModel)) from error
     kind = _kind_of(section, path)
     return text if "rig" in data else f'{text}\n[rig]\nkind = "{kind.name}"\n'
 
 
 def _kind_of(section: ModelSection, path: Path) -> RigKind:
     """Load the simulator of a rig file, which makes its kind known."""
+    key, stated = section.stated
     try:
-        if section.mujoco is not None:
-            reader = import_module(MUJOCO_READER).mujoco_simulator
-            made = reader(path.parent / section.mujoco, inputs=section.inputs, outputs=section.outputs)
+        if key in READERS:
+            module, name = READERS[key]
+            reader = getattr(import_module(module), name)
+            made = reader(path.parent / stated, inputs=section.inputs, outputs=section.outputs)
         else:
-            made = object_of(section.python or "", path.parent)
+            made = object_of(stated, path.parent)
     except MissingExtraError:
         raise
     except UsageError as error:
-        name = "python" if section.mujoco is None else "mujoco"
-        raise RigFileError(f"{path}: model.{name}: {error}") from error
+        raise RigFileError(f"{path}: model.{key}: {error}") from error
     kind = getattr(made, "kind", None)
     if not isinstance(kind, RigKind):
         raise RigFileError(
@@ -402,80 +245,26 @@ def simulator_rig(stated: str) -> RigFile:
     """A rig file that says nothing but which simulator it is.
 
     Args:
-        stated: ``bench.py:pendulum``, or the path of an MJCF or URDF file.
+        stated: ``bench.py:pendulum``, or the path of an MJCF or URDF file or of an FMU.
 
     Raises:
         RigFileError: What is wrong with the simulator.
     """
     path = Path(stated)
-    what = "mujoco" if path.suffix.lower() in MUJOCO_FILES else "python"
+    what = FILES.get(path.suffix.lower(), "python")
     text = f"[model]\n{what} = {toml_value(path.name)}\n"
     return parse_rig(_with_kind(text, path), path)
 
 
 def is_simulator(stated: str) -> bool:
-    """Whether a text names a simulator: a MuJoCo file, or a Python file with a name in it."""
+    """Whether a text names a simulator: a MuJoCo file, an FMU, or a Python file with a name in it."""
     file, colon, _ = stated.rpartition(":")
-    return Path(stated).suffix.lower() in MUJOCO_FILES or bool(colon and file.endswith(".py"))
+    return Path(stated).suffix.lower() in FILES or bool(colon and file.endswith(".py"))
 
 
 def default_rig(kind: str) -> RigFile:
     """A rig file that says nothing but its kind."""
     return parse_rig(f'[rig]\nkind = "{kind_named(kind).name}"\n', Path(f"{kind}.toml"))
-
-
-def explain(error: ValidationError, path: Path, model: type[BaseModel]) -> str:
-    """Put pydantic's complaints into one line each: file, field, what was expected, what was found."""
-    return "\n".join(f"{path}: {_complaint(item, model)}" for item in error.errors(include_url=False))
-
-
-# pydantic names the branch of a union that it tried; that is no place in a file
-PYDANTIC_BRANCHES = {"str", "int", "float", "list[float]", "constrained-int"}
-
-
-UNKNOWN_KEY = "unknown_key"
-
-
-def unknown_key(key: str, message: str) -> PydanticCustomError:
-    """The error for a validator that knows better than its model which keys belong here."""
-    return PydanticCustomError(UNKNOWN_KEY, "{message}", {"key": key, "message": message})
-
-
-def _complaint(item: Any, model: type[BaseModel]) -> str:
-    places = [str(part) for part in item["loc"] if str(part) not in PYDANTIC_BRANCHES]
-    field = ".".join(places) or "file"
-    if item["type"] == "extra_forbidden":
-        known = _fields_at(model, item["loc"][:-1])
-        return f"{field}: unknown key{suggestion(str(item['loc'][-1]), known)}; known: {', '.join(known)}"
-    if item["type"] == "missing":
-        return f"{field}: this key is missing"
-    message = str(item["msg"]).removeprefix("Value error, ")
-    if item["type"] == UNKNOWN_KEY:
-        return f"{'.'.join([*places, str(item['ctx']['key'])])}: {message}"
-    if item["type"] == "value_error":
-        return f"{field}: {message}" if places else message
-    return f"{field}: {message}, found {item['input']!r:.200}"
-
-
-def _fields_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
-    """Names of the keys that are allowed at a place in a file, as far as the models tell."""
-    current: type[BaseModel] = model
-    for part in loc:
-        field = current.model_fields.get(str(part))
-        found = _model_within(field.annotation) if field is not None else None
-        if found is not None:
-            current = found
-    return [name for name, field in current.model_fields.items() if not field.exclude]
-
-
-def _model_within(annotation: object) -> type[BaseModel] | None:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    for inner in getattr(annotation, "__args__", ()):
-        found = _model_within(inner)
-        if found is not None:
-            return found
-    return None
 
 
 def _check_names(section: str, given: Mapping[str, object], known: set[str]) -> None:
@@ -522,7 +311,7 @@ def _check_geometry(rig: RigFile) -> None:
 def _refuse_reserved(data: Mapping[str, object], path: Path) -> None:
     for name in ("path", "text", "files"):
         if name in data:
-            raise RigFileError(f"{path}: {name}: unknown key; known: {', '.join(_fields_at(RigFile, ()))}")
+            raise RigFileError(f"{path}: {name}: unknown key; known: {', '.join(fields_at(RigFile, ()))}")
 
 
 def _content(path: Path, field: str) -> bytes:

@@ -38,7 +38,7 @@ from labhil.errors import BusError, LabhilError
 from labhil.experiment.experiment import TwinSection
 from labhil.experiment.twins import start_twin
 from labhil.link import Decoder, MessageType, State, StateFlag
-from labhil.rig import Limit
+from labhil.rig_sections import Limit
 from labhil.service.hosts import HostProcess
 from labhil.service.messages import HostConfig, Setpoint
 from measured import tell

@@ -16,7 +16,8 @@ from labhil.identify.score import Score, score
 from labhil.identify.windows import noise_of
 from labhil.physics.model import Model, index_of, start_values
 from labhil.python_file import object_of
-from labhil.rig import ModelSection, RigFile, default_rig, load_rig
+from labhil.rig import RigFile, default_rig, load_rig
+from labhil.rig_sections import ModelSection
 from labhil.simulators.companion import Left, companion, sorted_out
 from labhil.simulators.mjcf import describe
 from labhil.simulators.mjcf_file import Described

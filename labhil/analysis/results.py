@@ -14,7 +14,7 @@ import numpy as np
 from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.answer import Curve, Diagnosis
 from labhil.diagnose.locate import Location
-from labhil.documents import parse_json
+from labhil.documents import is_finite_number, parse_json
 from labhil.errors import ModelFileError
 from labhil.identify.fit import Fit
 from labhil.identify.score import Figures, Score
@@ -275,7 +275,7 @@ def values_of(path: Reference) -> dict[str, float]:
     values = {}
     for row in _model_in(path)["parameters"]:
         name, value = (row.get("name"), row.get("value")) if isinstance(row, dict) else (None, None)
-        known = value is None or (isinstance(value, (int, float)) and math.isfinite(value))
+        known = value is None or is_finite_number(value)
         if not isinstance(name, str) or not known:
             raise ModelFileError(
                 f"{path}: parameters: expected rows with a `name` and a finite `value`, found {row!r}"
@@ -327,7 +327,7 @@ def _covariance(path: Reference, rows: Any, k: int) -> FloatArray | None:
         return None
     try:
         matrix = np.array(rows, dtype=np.float64).reshape(k, k)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ModelFileError(
             f"{path}: covariance: expected {k} rows of {k} numbers, one for each of `parameters`"
         ) from error
@@ -343,7 +343,7 @@ def _from_errors(rows: Sequence[Mapping[str, Any]]) -> FloatArray | None:
     errors = [row.get("std_error") for row in rows]
     if not errors or not any(isinstance(error, (int, float)) for error in errors):
         return None
-    known = [float(e) if isinstance(e, (int, float)) else np.inf for e in errors]
+    known = [float(e) if is_finite_number(e) else np.inf for e in errors]
     return np.diag(len(known) * np.square(known))
 
 
@@ -356,7 +356,10 @@ def _object(path: Reference, name: str, value: Any) -> Mapping[str, Any]:
 def _ratios(path: Reference, train: Mapping[str, Any]) -> dict[str, float]:
     """RMSE over noise floor of each channel of a file's ``train``."""
     found = {}
-    for each in train.get("per_channel") or []:
+    channels = train.get("per_channel") or []
+    if not isinstance(channels, list):
+        raise ModelFileError(f"{path}: train.per_channel: expected a list, found {channels!r:.80}")
+    for each in channels:
         row = _object(path, "train.per_channel", each)
         rmse = _number(path, "train.per_channel.rmse", row.get("rmse"))
         floor = _number(path, "train.per_channel.noise_floor", row.get("noise_floor"))
@@ -373,11 +376,9 @@ def _shortest(path: Reference, rungs: Any) -> float | None:
 
 
 def _number(path: Reference, name: str, value: Any) -> float | None:
-    if value is None:
-        return None
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ModelFileError(f"{path}: {name}: expected a finite number, found {value!r}")
-    return float(value)
+    if value is not None and not is_finite_number(value):
+        raise ModelFileError(f"{path}: {name}: expected a finite number, found {value!r:.80}")
+    return None if value is None else float(value)
 
 
 def _model_in(path: Reference) -> Mapping[str, Any]:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 from labhil.analysis.kept_curve import under_kept_curve
 from labhil.analysis.material import Taken, measured_of, naming, read_all, refuse_holes, rig_of
-from labhil.analysis.results import SavedModel, finite, score_json, values_of
+from labhil.analysis.results import SavedModel, finite, score_json, terms_of, values_of
 from labhil.analysis.schema import Score as ScorePart
 from labhil.analysis.schema import checked
 from labhil.diagnose.intake import without_spikes
-from labhil.errors import ModelFileError, OptionError
-from labhil.identify.fitted import start_theta
+from labhil.errors import ModelFileError, OptionError, UnknownNameError
+from labhil.identify.fitted import start_theta, with_only
 from labhil.identify.score import Score, score
 from labhil.identify.windows import noise_of, told_apart
 from labhil.physics.model import Record, index_of
@@ -28,14 +29,24 @@ class Simulated:
     part: ScorePart
 
 
-def simulated(taken: Taken, saved: SavedModel, kind: str | None, horizon: float | None) -> Simulated:
-    """Simulate the windows of a recording with the values of a result.
+def simulated(
+    taken: Taken,
+    saved: SavedModel,
+    kind: str | None,
+    horizon: float | None,
+    without: Collection[str] = (),
+) -> Simulated:
+    """Simulate the windows of a recording with the values of a result, ``without`` some of its terms.
 
     Raises ModelFileError where the result is of another rig ``kind``, RecordingError where the recording
-    cannot be simulated.
+    cannot be simulated, UnknownNameError for a term that the model does not have.
     """
     if horizon is not None and not 0.0 < horizon < float("inf"):
         raise OptionError("horizon", f": expected more than 0 s, found {horizon:g}")
+    terms = terms_of(saved)
+    for name in without:
+        if name not in terms:
+            raise UnknownNameError("term", name, terms)
     recording = read_all([taken], None)[0]
     rig = rig_of(recording, None)
     if kind is not None and kind != rig.kind.name:
@@ -52,6 +63,7 @@ def simulated(taken: Taken, saved: SavedModel, kind: str | None, horizon: float 
         raise ModelFileError(f"{saved}: {foreign[0]}: a model of {rig.kind.name} has no such parameter")
     with naming([recording]):
         record = told_apart(model, model.prepare(without_spikes(measured)))
-        found = score(model, start_theta(model, values), record, noise_of(record), horizon)
+        theta = with_only(model, start_theta(model, values), set(terms) - set(without))
+        found = score(model, theta, record, noise_of(record), horizon)
     part = checked(ScorePart, finite(score_json(found)), "the score")
     return Simulated(str(recording.path), record, found, part)

@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from labhil.api.inputs import PathLike, path_of, rig_file
+from labhil.complaints import explain
 from labhil.errors import ExperimentFileError, RunError, UsageError
 from labhil.experiment.bench import Bench
 from labhil.experiment.experiment import DeviceSection, TwinSection, WithDevices, load_experiment
 from labhil.experiment.experiment import Experiment as ExperimentFile
 from labhil.experiment.plan import Plan, device_plan, make_plan
 from labhil.experiment.points import is_campaign, points_of
-from labhil.rig import RigFile, explain
+from labhil.rig import RigFile
 
 if TYPE_CHECKING:
     from labhil.api.model import Model
@@ -103,6 +104,8 @@ class Experiment:
         about: Mapping[str, Any] | None = None,
         repeat: int = 1,
         sweep: Mapping[str, Any] | None = None,
+        checks: Sequence[Mapping[str, Any]] = (),
+        hook: str | None = None,
         record: Mapping[str, Any] | None = None,
         directory: PathLike = ".",
     ) -> None:
@@ -117,6 +120,9 @@ class Experiment:
             about: ``operator``, ``sample``, ``notes`` and ``tags``, which stand in the recording.
             repeat: How many recordings of each run; see :meth:`run_all`.
             sweep: ``over``, values by place: ``{"over": {"steps.0.level": [1.0, 2.0]}}``.
+            checks: ``condition``, ``at`` ("before" or "after" the steps) and ``within`` of each.
+            hook: A function that is called with a :class:`RunContext` before and after each run, such as
+                ``"lab.py:tell"``.
             record: ``path``, the name of the recording's file.
             directory: Where relative paths begin.
 
@@ -133,6 +139,10 @@ class Experiment:
             data["record"] = record
         if sweep is not None:
             data["sweep"] = sweep
+        if checks:
+            data["checks"] = checks
+        if hook is not None:
+            data["experiment"]["hook"] = hook
         try:
             self._file = ExperimentFile.model_validate({**data, "path": path})
         except ValidationError as error:

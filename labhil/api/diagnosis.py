@@ -174,10 +174,18 @@ class Diagnosis(ComputedResult["DiagnosisPart", "DiagnosisResult"]):
         """
         return parameter_set(self.final.parameters, None, {"verdict": self.verdict})
 
-    def simulate(self, rec: PathLike | Recording, *, horizon: float | None = None) -> Simulation:
+    def simulate(
+        self,
+        rec: PathLike | Recording,
+        *,
+        horizon: float | None = None,
+        without: Iterable[str] = (),
+    ) -> Simulation:
         """Run the final model on a recording; as :meth:`labhil.Fit.simulate`."""
         rigs = {source.rig for source in self.recordings if source.rig}
-        return simulate(self.saved, rec, rig=rigs.pop() if len(rigs) == 1 else None, horizon=horizon)
+        return simulate(
+            self.saved, rec, rig=rigs.pop() if len(rigs) == 1 else None, horizon=horizon, without=without
+        )
 
     def plot(self, ax: Axes | None = None, *, channel: int | str | None = None) -> Axes:
         """Draw measurement, baseline and final model on data that the search never saw.

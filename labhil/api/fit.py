@@ -159,20 +159,27 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
         """
         return parameter_set(self.parameters, self.covariance, {"rig": self.kind, "verdict": self.verdict})
 
-    def simulate(self, rec: PathLike | Recording, *, horizon: float | None = None) -> Simulation:
+    def simulate(
+        self,
+        rec: PathLike | Recording,
+        *,
+        horizon: float | None = None,
+        without: Iterable[str] = (),
+    ) -> Simulation:
         """Run the fitted model on a recording.
 
         Args:
             rec: A recording of the same kind of rig, or its path.
             horizon: Length of the simulated windows, s; that of the score when absent.
+            without: Terms of the model that are switched off, by name; the other values stay as they are.
 
         Returns:
             Measurement and simulation; see :class:`labhil.Simulation`.
 
         Raises:
-            UsageError: The recording is of another rig, or too short.
+            UsageError: The recording is of another rig, or too short, or the model has no such term.
         """
-        return simulate(self.saved, rec, rig=self.kind, horizon=horizon)
+        return simulate(self.saved, rec, rig=self.kind, horizon=horizon, without=without)
 
     def plot(self, ax: Axes | None = None, *, channel: int | str = 0) -> Axes:
         """Draw the model beside the measurement, on the data that it is judged on.

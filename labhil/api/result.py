@@ -6,6 +6,7 @@ import copy
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
 
 from labhil.api.inputs import PathLike, path_of
@@ -16,6 +17,7 @@ from labhil.extras import require_analysis
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
+    from labhil.analysis.patching import Patch
     from labhil.analysis.results import SavedModel
     from labhil.analysis.schema import Parameters, Source
 
@@ -184,6 +186,36 @@ class ComputedResult(Result, Generic[P, S]):
         from labhil.analysis.results import SavedModel
 
         return SavedModel(self._name, self._data)
+
+    def patch(
+        self, into: PathLike, out: PathLike, *, rig: PathLike | None = None, holdout: float = 0.3
+    ) -> Patch:
+        """Write a repaired copy of the MuJoCo file that was fitted or diagnosed; as ``labhil patch``.
+
+        The new file is loaded and run by MuJoCo on the held-out data. What the format cannot hold goes into a
+        Python file beside it.
+
+        Args:
+            into: The MuJoCo file as it was.
+            out: The new file; nothing may be there.
+            rig: The rig file of the work, where it had one.
+            holdout: The share of the recordings that was held out.
+
+        Returns:
+            What was changed (``changes``, ``diff``), what was left to the Python file (``left``,
+            ``companion``), and the errors before and after; ``to_dict()`` is what ``--json`` writes.
+
+        Raises:
+            UsageError: Something is there already, the files do not belong together, or the repaired file's
+                error is more than 1.05 times the model's. Nothing is written then.
+        """
+        require_analysis("a patch")
+        from labhil.analysis.patching import patch
+
+        with TemporaryDirectory() as folder:
+            result = self.save(Path(folder) / "result.json")
+            rig_file = None if rig is None else path_of(rig, "rig")
+            return patch(result, path_of(into, "into"), path_of(out, "out"), rig_file, holdout=holdout)
 
     @property
     def study(self) -> S:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from labhil.api.inputs import PathLike, number_or_none, taken_of
+from labhil.api.inputs import PathLike, names_of, number_or_none, taken_of
 from labhil.api.render import axes_of, data_frame, data_set
 from labhil.errors import UnknownNameError, UsageError
 from labhil.extras import require, require_analysis
-from labhil.signals import FloatArray
+from labhil.signals import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,6 +36,7 @@ class Simulation:
         units: Units by output.
         errors: Figures by output: ``rmse``, ``max_abs_error``, ``r2`` (a fraction), ``noise_floor``.
         horizon: Length of the windows, s.
+        window: Number of the window that each sample belongs to, (n,); −1 in the lead-ins.
         name: What the recording is called.
 
     Example:
@@ -55,6 +56,7 @@ class Simulation:
     units: Mapping[str, str]
     errors: Mapping[str, ChannelErrors]
     horizon: float | None
+    window: IntArray
     name: str = ""
 
     def __repr__(self) -> str:
@@ -113,17 +115,25 @@ class Simulation:
 
 
 def simulate(
-    saved: SavedModel, rec: PathLike | Recording, *, rig: str | None, horizon: float | None
+    saved: SavedModel,
+    rec: PathLike | Recording,
+    *,
+    rig: str | None,
+    horizon: float | None,
+    without: Iterable[str] | str = (),
 ) -> Simulation:
     """Run the model of a result on a recording of a rig of the same kind; see :class:`Simulation`."""
     require_analysis("a simulation")
     from labhil.analysis.simulate import simulated
 
-    found = simulated(taken_of(rec, "recording")[0], saved, rig, number_or_none(horizon, "horizon"))
+    off = names_of(without, "without") or ()
+    found = simulated(taken_of(rec, "recording")[0], saved, rig, number_or_none(horizon, "horizon"), off)
     record, score = found.record, found.score
     names = record.output_names
     predicted = np.full(record.outputs.shape, np.nan)
     predicted[score.rows] = record.outputs[score.rows] + score.errors
+    window = np.full(len(record.t), -1)
+    window[score.rows] = score.window
     rows = found.part.scored
     if len(rows) != len(names):
         raise UsageError(f"{saved}: expected a score of each of {', '.join(names)}")
@@ -134,5 +144,6 @@ def simulate(
         units=dict(zip(names, record.output_units, strict=True)),
         errors=dict(zip(names, rows, strict=True)),
         horizon=score.horizon,
+        window=window,
         name=found.name,
     )

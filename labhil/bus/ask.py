@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -16,6 +15,7 @@ from labhil.bus.authentication import Refusals
 from labhil.bus.incoming import LARGEST, ErrorReply, dump, load, parse
 from labhil.bus.session import Bus
 from labhil.errors import BusError, CommandRefusedError
+from labhil.supervised import SupervisedThread
 
 Handler = Callable[[Any], Mapping[str, Any]]
 """Receives what was asked and returns the answer; what it raises goes back as an error."""
@@ -57,22 +57,24 @@ class Answering:
         self._verifier = bus.verifier()
         self._queryable = bus.session.declare_queryable(key, zenoh.handlers.FifoChannel(256), complete=True)
         self._queries = self._queryable.handler
-        self._thread = threading.Thread(target=self._run, name=f"serve {key}")
+        self._thread = SupervisedThread(self._run, f"serve {key}")
         self._thread.start()
         bus.attend(self)
 
     def failure(self) -> str:
         """Return why nobody is answered any more, though nobody closed it; empty while all is well."""
-        gone = not self._closed and not self._thread.is_alive()
-        return f"{self._key}: the thread that answers there has died" if gone else ""
+        return self._thread.failure()
 
     def close(self) -> None:
         """Stop answering; safe to call twice, but not from the handler."""
+        if self._closed:
+            return
         self._closed = True
+        self._thread.end()
         self._bus.dismiss(self)
-        if self._thread.is_alive():
+        with suppress(zenoh.ZError):  # the session may have been closed before
             self._queryable.undeclare()
-            self._thread.join()
+        self._thread.join()
 
     def __enter__(self) -> Self:
         return self

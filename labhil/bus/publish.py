@@ -20,6 +20,7 @@ from labhil.codec import Codec, stream_to_json
 from labhil.errors import BusError
 from labhil.host_clock import unix_ns
 from labhil.signals import Batch, Stream
+from labhil.supervised import SupervisedThread
 
 LONGEST_TEXT = 4000
 """Characters of one text of an event: a run must not be deaf to one because its message is too large."""
@@ -60,7 +61,7 @@ class StreamPublisher:
         self._reply = schema_reply(self.codec, metadata or {})
         self._schema_key = schema_key(device, stream.name, namespace)
         self._schema = serve(bus, self._schema_key, lambda _: self._reply)
-        self._thread = threading.Thread(target=self._run, name=f"publish {key}")
+        self._thread = SupervisedThread(self._run, f"publish {key}")
         self._thread.start()
         self._bus = bus
         bus.attend(self)
@@ -69,8 +70,7 @@ class StreamPublisher:
         """Return why nothing is published any more, though nobody closed it; empty while all is well."""
         if self.error is not None:
             return str(self.error)
-        gone = not self._closing.is_set() and not self._thread.is_alive()
-        return f"{self._schema_key}: the thread that publishes this stream has died" if gone else ""
+        return self._thread.failure()
 
     def put(self, batch: Batch) -> None:
         """Publish a batch; never blocks."""
@@ -95,7 +95,8 @@ class StreamPublisher:
             return
         self._closing.set()
         self._bus.dismiss(self)
-        self._queue.put(None)
+        self._thread.end()
+        self._end_queue()
         self._thread.join()
         self._schema.close()
         self._publisher.undeclare()
@@ -119,11 +120,23 @@ class StreamPublisher:
                 if not told:
                     self._tell_schema()
                     told = True
-                for payload in payloads:
-                    self._publisher.put(payload)
+                self._publish(payloads)
             except zenoh.ZError as error:
                 self.error = BusError(f"{self._publisher.key_expr}: samples could not be published: {error}")
                 self.overflows += len(payloads)
+
+    def _publish(self, payloads: list[bytes]) -> None:
+        for payload in payloads:
+            self._publisher.put(payload)
+
+    def _end_queue(self) -> None:
+        """Let the thread end after what is queued; one that has died takes nothing from a full queue."""
+        while self._thread.is_alive():
+            try:
+                self._queue.put(None, timeout=0.1)
+            except queue.Full:
+                continue
+            return
 
     def _tell_schema(self) -> None:
         """Say what the stream is before its first sample: who comes later asks, and may come too late."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
+from contextlib import suppress
 from types import TracebackType
 from typing import Self
 
@@ -12,6 +12,7 @@ import zenoh
 from labhil.bus.authentication import Refusals
 from labhil.bus.keys import ARRIVED
 from labhil.bus.session import Bus
+from labhil.supervised import SupervisedThread
 
 CHANNEL_DEPTH = 65536
 
@@ -41,7 +42,7 @@ class Subscription:
         self._arrived = bus.session.declare_queryable(ARRIVED, answer)
         # undeclaring is refused while a thread waits in the subscriber itself, not in its handler
         self._handler = self._subscriber.handler
-        self._thread = threading.Thread(target=self._run, name=f"subscribe {key}")
+        self._thread = SupervisedThread(self._run, f"subscribe {key}")
         self._thread.start()
         bus.attend(self)
 
@@ -49,17 +50,20 @@ class Subscription:
         """Return why nothing is delivered any more, though nobody closed it; empty while all is well."""
         if self.error is not None:
             return f"{self._key}: what came in could not be dealt with: {self.error!r}"
-        gone = not self._closed and not self._thread.is_alive()
-        return f"{self._key}: the thread that listens there has died" if gone else ""
+        return self._thread.failure()
 
     def close(self) -> None:
         """End the subscription; safe to call twice, but not from the callback."""
+        if self._closed:
+            return
         self._closed = True
+        self._thread.end()
         self._bus.dismiss(self)
-        if self._thread.is_alive():
+        # also where the thread has died: what nobody takes would hold up everybody who sends to this process
+        with suppress(zenoh.ZError):  # the session may have been closed before
             self._arrived.undeclare()
             self._subscriber.undeclare()
-            self._thread.join()
+        self._thread.join()
 
     def __enter__(self) -> Self:
         return self

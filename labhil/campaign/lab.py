@@ -10,10 +10,10 @@ from pathlib import Path
 from labhil.bus.register import check_loopback
 from labhil.bus.session import open_bus
 from labhil.campaign.worker import Worker
-from labhil.errors import LabhilError
 from labhil.experiment.interruption import Interruption
 from labhil.experiment.lab import Lab, load_lab
 from labhil.experiment.lab_service import LabService, folder_of
+from labhil.supervised import SupervisedThread
 from labhil.terminal import show
 
 LOOK = 0.3
@@ -35,12 +35,15 @@ def serve_lab(
         show(bus.endpoint)
         worker = Worker(place, lab.lab.analyse, bus, say)
         done = threading.Event()
-        at_work = threading.Thread(target=_work, args=(worker, done, say), name="worker")
+        at_work = SupervisedThread(lambda: _work(worker, done, say), "worker")
+        bus.attend(at_work)  # the service ends in order where nothing is analysed any more
         at_work.start()
         service = LabService(lab, bus, place, say)
         try:
             service.run(interrupted)
         finally:
+            at_work.end()
+            bus.dismiss(at_work)
             done.set()
             at_work.join()
             worker.close()
@@ -56,6 +59,6 @@ def _work(worker: Worker, done: threading.Event, say: Callable[[str], None]) -> 
     while not done.wait(LOOK):
         try:
             worker.look()
-        except (LabhilError, OSError, ValueError, LookupError) as error:
+        except Exception as error:  # noqa: BLE001
             # devices are served and recorded whatever becomes of an analysis
             say(f"the worker: {error}")

@@ -44,7 +44,7 @@ SpanOption = Annotated[
 ]
 SimulatorOption = Annotated[
     str | None,
-    typer.Option(metavar="FILE", help="Your simulator instead: arm.xml (MuJoCo) or bench.py:pendulum."),
+    typer.Option(metavar="FILE", help="Your simulator instead: arm.xml (MuJoCo), x.fmu, bench.py:pendulum."),
 ]
 TestOption = Annotated[
     list[Path] | None, typer.Option(help="A separate recording to judge on; may be repeated.")

@@ -15,7 +15,7 @@ from labhil.identify.penalised import Projected, minimise
 from labhil.identify.problem import Point, Problem
 from labhil.identify.spline import Spline
 from labhil.identify.statistics import Estimate, estimates
-from labhil.identify.window_states import fit_states, looked_anew, tried
+from labhil.identify.window_states import fit_states, search_states
 from labhil.identify.windows import fit_windows
 from labhil.physics.extra_force import Over, Unplaced, Yielding
 from labhil.physics.terms import Yardstick
@@ -47,6 +47,9 @@ NO_WORSE = 1.01
 
 EXCHANGED = 3
 """Steps after that exchange."""
+
+DEEPENED = 2
+"""Rounds of new states and a new curve."""
 
 BLOCK = 1.0
 """Stretch of inverse dynamics, s: longer than what it leaves remembers, shorter than a pass of the joint."""
@@ -178,11 +181,14 @@ def refined(curved: Curved, iterations: int) -> Curved:
     return minimised(once, None, iterations)
 
 
-def settled(curved: Curved, iterations: int) -> Curved:
+def deepened(curved: Curved, iterations: int) -> Curved:
     """The same curve where windows have looked for better states: one in a wrong minimum bends the curve."""
-    problem, point = curved.fitted.problem, curved.fitted.solution.point
-    states = looked_anew(problem, point.z, tried(problem, point.z, point.states)).states
-    return minimised(curved, Point(point.z, states), iterations)
+    random = np.random.default_rng(0)
+    for _ in range(DEEPENED):
+        problem, point = curved.fitted.problem, curved.fitted.solution.point
+        start = Point(point.z, search_states(problem, point.z, point.states, random))
+        curved = minimised(curved, start, iterations)
+    return curved
 
 
 def minimised(curved: Curved, start: Point | None, iterations: int) -> Curved:

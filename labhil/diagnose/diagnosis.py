@@ -77,6 +77,7 @@ def diagnose(
     faults = all_faults(model, whole)
     refused = _refused(data, whole, faults, ended_early)
     if refused is not None:
+        accept()  # the result is there, and saying it takes no time
         stated = _unsearched(data, base, *refused, faults, heldout_is_test, began)
         return replace(stated, complete=not ended_early)
     look = partial(_found, terms=terms, reference=reference, accepted=accepted, progress=progress)
@@ -133,7 +134,7 @@ def _refused(
     duration, horizon = data.search.duration, data.model.horizon
     if data.model.state_names and duration < horizon:
         reason = f"too short: {duration:.3g} s were searched, and what a model of this rig lacks takes "
-        return "not_decidable", reason + f"{horizon:.3g} s to show"
+        return "not_decidable", reason + f"{horizon:.3g} s to show; record longer, or give another to test on"
     if ended_early:
         return "not_decidable", "ended early, before anything was searched"
     return None

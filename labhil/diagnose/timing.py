@@ -76,7 +76,7 @@ def better_hold(model: Model, record: Record) -> Hold | None:
     if part is None:
         return None
     best = _best_of(model, [(replace(part, input_holds=(hold,)), 0) for hold in Hold])
-    return None if best is None else tuple(Hold)[best]
+    return None if best is None else tuple(Hold)[best[0]]
 
 
 def late_input(model: Model, record: Record) -> Fault | None:
@@ -87,8 +87,11 @@ def late_input(model: Model, record: Record) -> Fault | None:
     part = _part(model, record)
     if part is None:
         return None
-    best = _best_of(model, [(_earlier(part, samples), samples) for samples in range(FURTHEST + 1)])
-    if not best or _is_play(model, part, best):
+    found = _best_of(model, [(_earlier(part, samples), samples) for samples in range(FURTHEST + 1)])
+    if found is None:
+        return None
+    best, cost = found
+    if not best or _is_play(model, part, cost):
         return None
     name, shift = record.input_names[0], -best * record.period
     count = f"{best} sample{'s' if best > 1 else ''}"
@@ -157,8 +160,10 @@ def _earlier(record: Record, samples: int) -> Record:
     return replace(record, inputs=inputs)
 
 
-def _best_of(model: Model, records: Sequence[tuple[Record, int]]) -> int | None:
+def _best_of(model: Model, records: Sequence[tuple[Record, int]]) -> tuple[int, float] | None:
     """Which of the records, with how many samples earlier their input is, a model explains far better.
+
+    With its cost, the surprise of its input over that of the first included.
 
     Brief fits propose it, thorough ones confirm it: a brief fit may stay in a local minimum, which is far
     worse than another's best.
@@ -170,17 +175,16 @@ def _best_of(model: Model, records: Sequence[tuple[Record, int]]) -> int | None:
     fitted = [record for record, _ in records]
     if _clearly_best(_fits(model, fitted, thorough=False), surprises) is None:
         return None
-    return _clearly_best(_fits(model, fitted, thorough=True), surprises)
+    fits = _fits(model, fitted, thorough=True)
+    best = _clearly_best(fits, surprises)
+    return None if best is None else (best, fits[best].solution.cost + float(surprises[best] - surprises[0]))
 
 
-def _is_play(model: Model, record: Record, samples: int) -> bool:
-    """Whether play explains a record as well as an input that is so many samples late."""
-    (late,) = _fits(model, [_earlier(record, samples)], thorough=True)
-    newest = int(record.input_holds[0] is Hold.LINEAR)
-    surprise = _surprise(record, newest + samples) - _surprise(record, newest)
+def _is_play(model: Model, record: Record, cost: float) -> bool:
+    """Whether play explains a record as well as a late input does at this cost."""
     for play in PLAY:
         fits = _fits(model, [record], thorough=True, more=(play,)) if play in model.terms else []
-        if any(fit.solution.cost < late.solution.cost + surprise + 2.0 * FAR_BETTER for fit in fits):
+        if any(fit.solution.cost < cost + 2.0 * FAR_BETTER for fit in fits):
             return True
     return False
 

@@ -17,6 +17,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from labhil.complaints import explain
 from labhil.documents import parse_json
 from labhil.errors import EmergencyStopError, LabhilError, RecordingError, RunStoppedError, UsageError
 from labhil.experiment.experiment import Experiment
@@ -24,9 +25,8 @@ from labhil.experiment.plan import make_plan
 from labhil.experiment.points import Point, fingerprint, points_of
 from labhil.experiment.result import Progress, RunResult, free_path
 from labhil.experiment.run import run_experiment
-from labhil.recording.contents import how_it_ended
-from labhil.recording.reader import read_recording
-from labhil.rig import explain
+from labhil.recording.contents import ending_of
+from labhil.recording.metadata import read_metadata
 from labhil.whole import whole
 
 Status = Literal["planned", "running", "done", "failed"]
@@ -261,6 +261,6 @@ class _Campaign:
 def _is_done(path: Path) -> bool:
     """Whether a recording has its end, and that says that all went well."""
     try:
-        return how_it_ended(read_recording(path)) == "done"
+        return ending_of(read_metadata(path)) == "done"
     except RecordingError:
         return False

@@ -10,8 +10,10 @@ from __future__ import annotations
 import ast
 import operator
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TypeGuard
+from dataclasses import dataclass, field
+from typing import Annotated, TypeGuard
+
+from pydantic import BeforeValidator, InstanceOf, PlainSerializer
 
 from labhil.errors import UnknownNameError
 
@@ -41,7 +43,10 @@ class Condition:
 
     text: str
     names: tuple[str, ...]
-    _tree: ast.expr
+    _tree: ast.expr = field(compare=False, repr=False)
+
+    def __str__(self) -> str:
+        return self.text
 
     def over(self, columns: Sequence[str]) -> Test:
         """Return the test of one sample whose values stand in the order of ``columns``.
@@ -75,6 +80,25 @@ def parse_condition(text: str) -> Condition:
     if not names:
         raise ValueError(f"expected a condition on a signal, found none in {text!r}")
     return Condition(text, tuple(names), tree)
+
+
+def _as_condition(value: object) -> Condition:
+    if isinstance(value, Condition):
+        return value
+    if not isinstance(value, str):
+        raise ValueError(f"expected a condition like `speed < 0.1`, found {value!r:.200}")  # noqa: TRY004
+    return parse_condition(value)
+
+
+StatedCondition = Annotated[
+    InstanceOf[Condition], BeforeValidator(_as_condition), PlainSerializer(str, return_type=str)
+]
+"""A condition as a key of a file: text there, a :class:`Condition` once it is read."""
+
+
+def values_in_words(names: Sequence[str], columns: Sequence[str], values: Values) -> str:
+    """Return the values of some signals for a message: ``speed = 3.2, current = 0.11``."""
+    return ", ".join(f"{name} = {values[columns.index(name)]:.4g}" for name in names)
 
 
 def _test(node: ast.expr, places: Mapping[str, int]) -> Test:

@@ -50,7 +50,7 @@ TRANSITIONS: Mapping[RunState, Mapping[RunState, str]] = MappingProxyType(
         RunState.PAUSED: {RunState.RUNNING: "resume", **_EITHER_END},
         RunState.STOPPING: {
             RunState.FINISHED: "devices safe, recording complete",
-            RunState.FAILED: "a device did not stop",
+            RunState.FAILED: "a device did not stop, a check or hook failed",
         },
         RunState.ABORTING: {RunState.FAILED: "devices safe, recording complete"},
         RunState.FINISHED: {},

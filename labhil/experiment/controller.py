@@ -66,16 +66,18 @@ class Controller:
         self._safe = dict(safe)
         self._drives = [drive for timed in steps for drive in _drives(timed, stream)]
 
-    def requested(self, t: float, values: Sequence[float]) -> dict[str, float]:
+    def requested(self, t: float, values: Sequence[float], *, waiting: bool = False) -> dict[str, float]:
         """Return the value of every command after the sample ``values`` at time ``t``.
 
-        Every sample is to be shown, in order: derivatives are made of them.
+        Every sample is to be shown, in order: derivatives are made of them. While a step is ``waiting`` to
+        begin at ``t``, its signal has the safe value, less the effort that keeps the plant in range.
         """
         wanted = dict(self._safe)
         for drive in self._drives:
             effort = drive.feedback.effort(t, values) if drive.feedback is not None else 0.0
             if drive.start <= t < drive.end:
-                wanted[drive.column] = drive.excitation(t - drive.start) - effort
+                rest = self._safe.get(drive.column, 0.0)
+                wanted[drive.column] = (rest if waiting else drive.excitation(t - drive.start)) - effort
         return wanted
 
     def forget(self) -> None:

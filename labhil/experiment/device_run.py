@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import deque
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from types import TracebackType
@@ -31,9 +30,10 @@ from labhil.errors import (
     RunStoppedError,
 )
 from labhil.experiment.approach import Approach, Waypoints
-from labhil.experiment.condition import parse_condition
+from labhil.experiment.checks import CheckSection, CheckWatch
 from labhil.experiment.controller import Controller
 from labhil.experiment.plan import DevicePlan
+from labhil.experiment.step_clock import StepClock
 from labhil.host_clock import unix_ns
 from labhil.service.hosts import ConnectedDevice
 from labhil.service.messages import Setpoint
@@ -72,7 +72,6 @@ class DeviceRun:
     ) -> None:
         self.plan = plan
         self.speed = device.speed
-        self.elapsed = 0.0
         self.error: LabhilError | None = None
         self.rests = ""
         """Why the device cannot follow its steps for now, though nothing has failed; empty when it can.
@@ -92,15 +91,11 @@ class DeviceRun:
         self._controller = Controller(plan.steps, device.stream, device.safe)
         self._approach = Approach(plan.spec, device.stream)
         self._waypoints = Waypoints(plan.spec.waypoint_rate)
-        self.ended_early: deque[str] = deque()
-        """Which steps ended before their time and why, until the run has said so."""
-        columns = device.stream.columns()
-        self._conditions = [
-            (timed, parse_condition(timed.step.until).over(columns))
-            for timed in plan.steps
-            if timed.step.until is not None
-        ]
-        self._started_at_ns: int | None = None
+        self._columns = device.stream.columns()
+        self.clock = StepClock(plan.steps, self._columns)
+        self.newest: Mapping[str, float] = {}
+        """The values of the newest sample, by the name of their column."""
+        self._watches: tuple[CheckWatch, ...] = ()
         self._since_ns = 0
         self._resting = self._noticed = self._is_back = False
         self._stalled = ""
@@ -134,6 +129,11 @@ class DeviceRun:
         self._resources.close()
 
     @property
+    def elapsed(self) -> float:
+        """How far the steps have come, s of the device's clock."""
+        return self.clock.elapsed
+
+    @property
     def done(self) -> bool:
         """Whether all steps of the run are over by this device's clock."""
         return self.elapsed >= self._duration
@@ -165,13 +165,24 @@ class DeviceRun:
         self.heard_at = time.monotonic()
         self._controller.forget()
         self._since_ns = unix_ns()
-        self._started_at_ns = None  # however long the device has rested, its steps go on where they were
+        self.clock.halt()  # however long the device has rested, its steps go on where they were
         self.rests, self.comes_back = "", False
         self._stalled = ""
         self._approach.begin()
         self._waypoints.begin()
         self._resting = self._noticed = self._is_back = False
         self._running = True
+
+    def watch(self, checks: Sequence[CheckSection]) -> None:
+        """Look from now on for whether these conditions hold."""
+        self._watches = tuple(CheckWatch(check, self._columns) for check in checks)
+
+    def checks_hold(self) -> bool:
+        """Whether all conditions have held; raises ConditionError for one whose time is over."""
+        for watch in self._watches:
+            if watch.error is not None:
+                raise watch.error
+        return all(watch.has_held for watch in self._watches)
 
     def make_safe(self, reason: str) -> None:
         """Bring the device to its safe state; raises BusError when its host does not answer."""
@@ -203,45 +214,42 @@ class DeviceRun:
         if batch is None:
             return
         self.heard_at = time.monotonic()
-        if not self._running:
-            return
+        self.newest = dict(zip(self._columns, batch.values[-1].tolist(), strict=True))
+        samples = list(zip(batch.t_hw_ns.tolist(), batch.values.tolist(), strict=True))
+        for watch in self._watches:
+            for t_ns, values in samples:
+                watch.take(t_ns, values)
+        if self._running:
+            self._follow_steps(samples)
+
+    def _follow_steps(self, samples: Sequence[tuple[int, Sequence[float]]]) -> None:
         requested: dict[str, float] = {}
         t_hw_ns: int | None = None
-        newest_ns = int(batch.t_hw_ns[-1])
-        for t_ns, values in zip(batch.t_hw_ns.tolist(), batch.values.tolist(), strict=True):
-            if self._started_at_ns is None:
+        newest_ns = samples[-1][0]
+        for t_ns, values in samples:
+            if not self.clock.is_going:
                 requested = self._controller.requested(self.elapsed, values)
                 there = self._approach.is_there(requested, values)
                 # the steps begin where their first setpoint can act: samples that waited on a busy machine
                 # may be as many as a step is long, and it would be over before it was asked for
                 if not there or t_ns < newest_ns:
                     continue
-                self._started_at_ns = t_ns - round(self.elapsed * 1e9)
+                self.clock.start(t_ns)
                 if self._waypoints.rate:
                     # a path begins where the device stands, though this be the middle of the steps
                     self._put(requested, t_ns)
             t_hw_ns = t_ns
-            self.elapsed = (t_ns - self._started_at_ns) * 1e-9
-            self._end_early(values)
-            requested = self._controller.requested(self.elapsed, values)
+            if self.clock.advance(t_ns, values):
+                self._controller.forget()
+            requested = self._controller.requested(self.elapsed, values, waiting=self.clock.is_waiting)
+        if self.clock.notes:
+            self._changed.set()
         if self.done:
             self._running = False
             self._changed.set()
         elif self._waypoints.is_due(newest_ns):
             timed = t_hw_ns if self._waypoints.rate else None
             self._put(requested, timed)
-
-    def _end_early(self, values: Sequence[float]) -> None:
-        """Go to the end of a step whose condition holds: its clock is moved on by what is left of it."""
-        assert self._started_at_ns is not None
-        for timed, holds in self._conditions:
-            if timed.start <= self.elapsed < timed.end and holds(values):
-                text = f"steps.{timed.index} ended at {self.elapsed - timed.start:.3f} s: {timed.step.until}"
-                self._started_at_ns -= round((timed.end - self.elapsed) * 1e9)
-                self.elapsed = timed.end
-                self._controller.forget()
-                self.ended_early.append(text)
-                self._changed.set()
 
     def _put(self, requested: Mapping[str, float], t_hw_ns: int | None) -> None:
         setpoint = Setpoint(self._token, unix_ns(), dict(requested), t_hw_ns)

@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from functools import partial
+from typing import Literal
 
 from labhil.bus.authentication import Refusals
 from labhil.bus.session import Bus
-from labhil.errors import BusError, LabhilError
+from labhil.errors import BusError, LabhilError, RunError
+from labhil.experiment.checks import CheckSection
 from labhil.experiment.device_run import DeviceRun
 from labhil.experiment.plan import DevicePlan
 from labhil.service.hosts import HostProcess
@@ -80,17 +82,37 @@ class Devices:
             trouble = run.failure()
             if trouble is not None:
                 raise trouble
-            if deaf := self._bus.failure():
-                raise BusError(f"the run no longer hears everything: {deaf}")
             patience = ENDING if run.ends else SILENCE
             if not run.comes_back and time.monotonic() - run.heard_at > patience:
                 raise BusError(f"{run.plan.name}: no samples on the bus for {patience:g} s")
+        if deaf := self._bus.failure():
+            raise BusError(f"the run no longer hears everything: {deaf}")
 
-    def ended_early(self) -> Iterator[str]:
-        """Yield which steps ended before their time, each once."""
+    def step_notes(self) -> Iterator[str]:
+        """Yield what conditions have brought about: steps that waited, began, or ended early, each once."""
         for run in self.runs:
-            while run.ended_early:
-                yield f"{run.plan.name}: {run.ended_early.popleft()}"
+            while run.clock.notes:
+                yield f"{run.plan.name}: {run.clock.notes.popleft()}"
+
+    def watch(self, checks: Sequence[CheckSection], at: Literal["before", "after"]) -> bool:
+        """Look from now on for whether the checks ``at`` this time hold; returns whether there are any."""
+        own = [check for check in checks if check.at == at]
+        for run in self.runs:
+            run.watch([check for check in own if check.device in (None, run.plan.name)])
+        return bool(own)
+
+    def checks_hold(self) -> bool:
+        """Whether all conditions have held; raises ConditionError for one whose time is over."""
+        outcomes = [run.checks_hold() for run in self.runs]  # of each, so that none that fails is overlooked
+        return all(outcomes)
+
+    def all_heard(self) -> bool:
+        """Whether a sample of every device has come."""
+        return all(run.newest for run in self.runs)
+
+    def newest(self) -> dict[str, Mapping[str, float]]:
+        """The values of each device's newest sample."""
+        return {run.plan.name: run.newest for run in self.runs}
 
     def rest(self) -> str:
         """Why the run has to wait for one of its devices; empty when it does not."""
@@ -131,7 +153,10 @@ def host_config(device: DevicePlan, address: str, endpoint: str) -> HostConfig:
 
 
 def at_once(actions: Sequence[Callable[[], object]]) -> list[LabhilError | None]:
-    """Do all of this at the same time, and return what each of them raised (of ours), in order."""
+    """Do all of this at the same time, and return what each of them raised, in order.
+
+    What is no error of ours becomes a RunError: one action that has a fault must not keep a device unstopped.
+    """
     if not actions:
         return []
     with ThreadPoolExecutor(len(actions), thread_name_prefix="at once") as pool:
@@ -143,4 +168,6 @@ def _error_of(action: Callable[[], object]) -> LabhilError | None:
         action()
     except LabhilError as error:
         return error
+    except BaseException as error:  # noqa: BLE001 - in a thread of a pool it reaches nobody else
+        return RunError(f"the run itself failed: {error!r}")
     return None

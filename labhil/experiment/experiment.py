@@ -10,9 +10,11 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from labhil.complaints import explain, unknown_key
 from labhil.documents import DocumentError, parse_toml
 from labhil.errors import ExperimentFileError, UnknownNameError, suggestion
-from labhil.experiment.condition import parse_condition
+from labhil.experiment.checks import CheckSection, no_such_device
+from labhil.experiment.condition import StatedCondition
 from labhil.experiment.excitation.fade import faded
 from labhil.experiment.excitation.function import Excitation, Excitations, Seed
 from labhil.experiment.excitation.make import (
@@ -23,8 +25,9 @@ from labhil.experiment.excitation.make import (
 )
 from labhil.experiment.excitation.table import Between
 from labhil.experiment.excitation.tones import PhaseRule, Sweep
+from labhil.experiment.overlap import refuse_conditions_beside_others, refuse_overlaps
 from labhil.experiment.sweep import MOST_RUNS, SweepSection
-from labhil.rig import RigFile, default_rig, explain, load_rig, unknown_key
+from labhil.rig import RigFile, default_rig, load_rig
 from labhil.toml_text import to_toml
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -33,6 +36,7 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Numbers = tuple[Finite, ...]
 Natural = Annotated[int, Field(ge=0)]
 Tag = Annotated[str, Field(min_length=1, max_length=100)]
+Hook = Annotated[str, Field(pattern=r"^[^:]+:[^\W\d]\w*$")]
 
 TWIN = "twin"
 """The address that stands for "start the simulated device, and stop it afterwards"."""
@@ -50,7 +54,8 @@ class ExperimentSection(_Section):
 
     Each step draws from a sequence of its own, begun with this seed and its place in the file. ``operator``,
     ``sample``, ``notes`` and ``tags`` are free text; they stand in the recording, and ``labhil list`` finds
-    recordings by them. ``repeat`` makes so many recordings of each run.
+    recordings by them. ``repeat`` makes so many recordings of each run. ``hook`` names a Python function,
+    "lab.py:tell" or "lab.hooks:tell", that is called before and after each run.
     """
 
     name: Annotated[str, Field(min_length=1)]
@@ -60,6 +65,16 @@ class ExperimentSection(_Section):
     notes: str = ""
     tags: tuple[Tag, ...] = ()
     repeat: Annotated[int, Field(ge=1, le=MOST_RUNS)] = 1
+    hook: Hook | None = None
+
+    def metadata(self) -> dict[str, str | tuple[str, ...]]:
+        """Return the free text of whoever made the recording."""
+        return {
+            "operator": self.operator,
+            "sample": self.sample,
+            "notes": self.notes,
+            "tags": self.tags,
+        }
 
 
 class TwinSection(_Section):
@@ -121,6 +136,9 @@ class Step(_Section):
     ``at`` is when it starts, s after the run did; without it, when everything before it has ended.
     ``until`` ends it before that, with the first sample for which the condition holds, such as
     ``"winding_temperature < 30 and abs(speed) < 0.1"``; what follows then begins earlier.
+    ``when`` lets it begin with the first sample for which a condition holds; until then the clock of the
+    steps stands still, the signal has its safe value, and ``stabilise`` is at work. A run whose condition
+    does not hold within ``wait`` s ends as failed.
     ``fade`` lets it grow from ``offset`` (0 without) and die away there again, in so many s at either end.
     """
 
@@ -129,7 +147,9 @@ class Step(_Section):
     excitation: str
     duration: Positive
     at: NotNegative | None = None
-    until: str | None = None
+    when: StatedCondition | None = None
+    wait: Positive | None = None
+    until: StatedCondition | None = None
     stabilise: Stabilise | None = None
     frequencies: Numbers | None = None
     amplitude: Finite | Numbers | None = None
@@ -177,11 +197,8 @@ class Step(_Section):
 
     @model_validator(mode="after")
     def _can_be_made(self) -> Step:
-        if self.until is not None:
-            try:
-                parse_condition(self.until)
-            except ValueError as error:
-                raise ValueError(f"until: {error}") from error
+        if (self.when is None) != (self.wait is None):
+            raise ValueError("expected `when` and `wait` (s, at most) together, found one of them")
         try:
             check_keys(self.excitation, self._keys())
             # a table is read when it is known where the experiment file lies
@@ -286,6 +303,7 @@ class Experiment(WithDevices):
 
     experiment: ExperimentSection
     steps: tuple[Step, ...]
+    checks: tuple[CheckSection, ...] | None = None
     record: RecordSection = RecordSection()
     sweep: SweepSection | None = None
 
@@ -295,11 +313,11 @@ class Experiment(WithDevices):
             raise ValueError("steps: there are none; give at least one [[steps]]")
         for index, step in enumerate(self.steps):
             if step.device not in self.devices:
-                known = ", ".join(self.devices)
-                near = suggestion(step.device, self.devices)
-                raise ValueError(f"steps.{index}.device: no device {step.device!r}{near}; known: {known}")
-        _refuse_overlaps(self.schedule())
-        _refuse_conditions_beside_others(self.schedule(), len(self.devices))
+                raise ValueError(f"steps.{index}.device: {no_such_device(step.device, self.devices)}")
+        refuse_overlaps(self.schedule())
+        refuse_conditions_beside_others(self.schedule(), len(self.devices))
+        for number, check in enumerate(self.checks or ()):
+            check.refuse_unknown_device(f"checks.{number}", self.devices)
         return self
 
     def schedule(self) -> tuple[TimedStep, ...]:
@@ -351,34 +369,6 @@ def parse_devices(text: str, path: Path, form: type[Form]) -> Form:
         return form.model_validate({**data, "path": path})
     except ValidationError as error:
         raise ExperimentFileError(explain(error, path, form)) from error
-
-
-def _refuse_overlaps(schedule: tuple[TimedStep, ...]) -> None:
-    for later in schedule:
-        for earlier in schedule[: later.index]:
-            same = (earlier.step.device, earlier.step.signal) == (later.step.device, later.step.signal)
-            if same and earlier.start < later.end and later.start < earlier.end:
-                raise ValueError(
-                    f"steps.{later.index}: {later.step.device}.{later.step.signal} is driven by "
-                    f"steps.{earlier.index} at the same time ({later.start:g} s)"
-                )
-
-
-def _refuse_conditions_beside_others(schedule: tuple[TimedStep, ...], devices: int) -> None:
-    """A step that may end early shifts what follows, which cannot be done for what runs beside it."""
-    for timed in schedule:
-        if timed.step.until is None:
-            continue
-        if devices > 1:
-            raise ValueError(
-                f"steps.{timed.index}.until: expected an experiment with one device, found {devices}"
-            )
-        for other in schedule:
-            if other is not timed and other.start < timed.end and timed.start < other.end:
-                raise ValueError(
-                    f"steps.{timed.index}.until: expected a step that runs alone, found steps.{other.index} "
-                    "at the same time"
-                )
 
 
 def _flatten(value: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

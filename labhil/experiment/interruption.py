@@ -1,4 +1,4 @@
-"""Ctrl+C and its relatives, as something that a run looks at when it is ready to."""
+"""Ctrl+C and its relatives, and the emergency stop, as something that a run looks at when it is ready to."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import signal
 from types import FrameType, TracebackType
 from typing import Self
 
+from labhil.bus.latch import read_latch
 from labhil.ending import Handled
+from labhil.errors import EmergencyStopError, LabhilError
 
 
 class Interruption:
@@ -36,3 +38,13 @@ class Interruption:
     def __call__(self) -> bool:
         """Whether it is time to stop."""
         return bool(self.reason)
+
+
+def raise_standing_stop() -> None:
+    """Raise EmergencyStopError where an emergency stop stands, heard without any device or the bus."""
+    try:
+        standing = read_latch()
+    except (LabhilError, OSError):
+        return  # a directory that cannot be read is no stop; hosts look there as well
+    if standing is not None:
+        raise EmergencyStopError(standing.describe())

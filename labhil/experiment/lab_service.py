@@ -16,7 +16,7 @@ from typing import Any
 from labhil.bus.publish import publish_event
 from labhil.bus.register import registered
 from labhil.bus.session import Bus
-from labhil.errors import BusError, LabhilError, RunStoppedError, UsageError
+from labhil.errors import BusError, LabhilError, RecordingFailedError, RunStoppedError, UsageError
 from labhil.experiment.devices import end_hosts, host_config
 from labhil.experiment.experiment import TWIN, RecordSection
 from labhil.experiment.lab import Lab
@@ -61,8 +61,11 @@ class LabService:
                     time.sleep(LOOK)
                     self._look_after()
             except RunStoppedError:
-                return
-            finally:
+                self._stop()
+            except BaseException as error:
+                self._stop(error)
+                raise
+            else:
                 self._stop()
 
     def _start(self, plan: DevicePlan, twins: ExitStack, ended: Callable[[], bool]) -> None:
@@ -158,11 +161,20 @@ class LabService:
         for warning in summary.warnings:
             self._say(f"{summary.path}: {warning}")
 
-    def _stop(self) -> None:
-        """Devices first, all at once; then what was recorded."""
+    def _stop(self, error: BaseException | None = None) -> None:
+        """Devices first, all at once; then what was recorded, with ``error`` as the reason of its end."""
         end_hosts(list(self._hosts.values()))
-        if self._recorder is not None:
-            summary = self._recorder.finish("0", "the service ended")
+        if self._recorder is None:
+            return
+        status = 0 if error is None else error.exit_status if isinstance(error, LabhilError) else 1
+        reason = "the service ended" if error is None else f"the service failed: {error}"
+        try:
+            summary = self._recorder.finish(str(status), reason)
+        except RecordingFailedError as failure:
+            if error is None:
+                raise
+            self._say(str(failure))  # what ended the service comes first
+        else:
             if any(stream.samples for stream in summary.streams):
                 self._tell(summary)
             else:

@@ -11,13 +11,14 @@ import numpy as np
 
 from labhil.driver import DriverSpec
 from labhil.errors import ExperimentFileError, UnknownNameError
-from labhil.experiment.condition import parse_condition
+from labhil.experiment.condition import Condition
 from labhil.experiment.continuity import refuse_jumps
 from labhil.experiment.excitation.function import columns_of, sampled
 from labhil.experiment.excitation.spectrum import Spectrum, spectrum_of
-from labhil.experiment.experiment import TWIN, DeviceSection, Experiment, TimedStep, WithDevices
+from labhil.experiment.experiment import TWIN, DeviceSection, Experiment, Step, TimedStep, WithDevices
 from labhil.plugins import load_driver, load_twin
-from labhil.rig import Interlock, Limit, RigFile
+from labhil.rig import RigFile
+from labhil.rig_sections import Interlock, Limit
 from labhil.signals import FloatArray, Signal
 
 
@@ -78,6 +79,10 @@ class Plan:
         for step in self.steps:
             yield f"  {_step_in_words(step)}"
             yield from (f"    {line}" for line in _spectrum_in_words(step))
+        for check in self.experiment.checks or ():
+            yield f"  check {check.at} the steps, within {check.within:g} s: {check.condition}"
+        if self.experiment.experiment.hook is not None:
+            yield f"  calls {self.experiment.experiment.hook} before and after"
         for warning in self.warnings():
             yield f"  note: {warning}"
 
@@ -93,6 +98,7 @@ def make_plan(experiment: Experiment) -> Plan:
     steps = tuple(_step_plan(experiment.path, timed, by_name[timed.step.device]) for timed in schedule)
     for device in devices:
         refuse_jumps(experiment.path, device.spec, device.steps)
+    _refuse_unknown_signals(experiment, devices)
     return Plan(experiment, devices, steps, experiment.duration)
 
 
@@ -136,8 +142,7 @@ def _step_plan(path: Path, timed: TimedStep, device: DevicePlan) -> StepPlan:
         raise ExperimentFileError(
             f"{place}.stabilise.on: {UnknownNameError('signal', step.stabilise.on, names)}"
         )
-    if step.until is not None:
-        _check_condition(place, step.until, device.spec)
+    _check_conditions(place, step, device.spec)
     rate, command = device.spec.stream.rate, commands[step.signal]
     values = _values(place, timed, command, rate)
     safe = _safe_values(device.spec, command, values)
@@ -157,14 +162,29 @@ def _step_plan(path: Path, timed: TimedStep, device: DevicePlan) -> StepPlan:
     return StepPlan(timed, command.unit, *reach, spectrum_of(values, rate), warnings)
 
 
-def _check_condition(place: str, text: str, spec: DriverSpec) -> None:
-    """Refuse a condition on signals that are not there, and one that would cut a path short."""
+def _check_conditions(place: str, step: Step, spec: DriverSpec) -> None:
+    """Refuse conditions on signals that are not there, and those that would interrupt a path."""
+    for key, condition in (("when", step.when), ("until", step.until)):
+        if condition is None:
+            continue
+        _check_signals(f"{place}.{key}", condition, spec)
+        if spec.waypoint_rate:
+            raise ExperimentFileError(
+                f"{place}.{key}: {spec.name} follows paths, which cannot be interrupted"
+            )
+
+
+def _check_signals(place: str, condition: Condition, spec: DriverSpec) -> None:
     try:
-        parse_condition(text).over(spec.stream.columns())
+        condition.over(spec.stream.columns())
     except UnknownNameError as error:
-        raise ExperimentFileError(f"{place}.until: {error}") from error
-    if spec.waypoint_rate:
-        raise ExperimentFileError(f"{place}.until: {spec.name} follows paths, which cannot be cut short")
+        raise ExperimentFileError(f"{place}: {error}") from error
+
+
+def _refuse_unknown_signals(experiment: Experiment, devices: tuple[DevicePlan, ...]) -> None:
+    for number, check in enumerate(experiment.checks or ()):
+        (device,) = [one for one in devices if check.device in (None, one.name)]
+        _check_signals(f"{experiment.path}: checks.{number}.condition", check.condition, device.spec)
 
 
 def _commanded(spec: DriverSpec) -> Iterator[Signal]:
@@ -268,6 +288,8 @@ def _step_in_words(step: StepPlan) -> str:
         f"{step.lowest:.4g} to {step.highest:.4g} {step.unit}, up to {step.fastest:.4g} {step.unit}/s, "
         f"crest factor {step.spectrum.crest_factor:.2f}, RMS {step.spectrum.rms:.4g} {step.unit}"
     )
+    if asked.when is not None:
+        words = f"{words}; begins once {asked.when}, waits {asked.wait:g} s at most"
     if asked.until is not None:
         words = f"{words}; ends early once {asked.until}"
     if asked.stabilise is None:

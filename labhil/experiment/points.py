@@ -11,10 +11,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from labhil.complaints import explain
 from labhil.errors import ExperimentFileError
 from labhil.experiment.experiment import Experiment
 from labhil.experiment.sweep import MOST_RUNS, replace_value
-from labhil.rig import explain
 
 FREE_TEXT = ("operator", "sample", "notes", "tags")
 """Keys of ``[experiment]`` that change nothing about the runs."""

@@ -16,6 +16,8 @@ from annotated_types import Ge, Gt, Le
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from labhil.experiment.checks import CheckSection
+from labhil.experiment.condition import Condition
 from labhil.experiment.excitation.make import EXCITATIONS
 from labhil.experiment.experiment import (
     KEYS_OF_EXCITATIONS,
@@ -35,6 +37,7 @@ SECTIONS: tuple[tuple[str, type[BaseModel]], ...] = (
     ("[devices.NAME.twin]", TwinSection),
     ("[[steps]]", Step),
     ("stabilise = { … }", Stabilise),
+    ("[[checks]]", CheckSection),
     ("[record]", RecordSection),
     ("[sweep]", SweepSection),
 )
@@ -105,7 +108,13 @@ def _in_words(annotation: Any, metadata: Any = ()) -> str:
         return f"{what} of {_plural(_in_words(of))}"
     if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
         return "table, see below"
-    names = {str: "text", int: "whole number", float: "number", bool: "true or false"}
+    names = {
+        str: "text",
+        int: "whole number",
+        float: "number",
+        bool: "true or false",
+        Condition: "condition",
+    }
     return names.get(annotation, "value") + _bounds(metadata)
 
 

@@ -26,13 +26,16 @@ from labhil.errors import (
     CommandRefusedError,
     EmergencyStopError,
     LabhilError,
+    RunError,
     RunStoppedError,
     UsageError,
 )
+from labhil.experiment.around import AroundSteps
 from labhil.experiment.control import RunControl, RunState
 from labhil.experiment.devices import Devices, at_once, host_config
 from labhil.experiment.experiment import TWIN, Experiment
-from labhil.experiment.interruption import Interruption
+from labhil.experiment.hooks import Hook
+from labhil.experiment.interruption import Interruption, raise_standing_stop
 from labhil.experiment.plan import DevicePlan, Plan, make_plan
 from labhil.experiment.points import is_campaign
 from labhil.experiment.remote import offer_control
@@ -100,19 +103,22 @@ def run_experiment(
     standing = read_latch()
     if standing is not None:
         raise CommandRefusedError(f"{standing.describe()}; release it with `labhil estop --release`")
+    stated = experiment.experiment.hook
+    hook = None if stated is None else Hook(stated, experiment)
     try:
         out_dir.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"{out_dir}: expected a directory for the recording, found {error}") from error
     with session_clock(), Interruption() as interrupted:
         path = recording_path(experiment, out_dir) if path is None else path
-        return _Run(plan, path, progress, interrupted, control, metadata).run()
+        return _Run(plan, hook, path, progress, interrupted, control, metadata).run()
 
 
 class _Run:
     def __init__(
         self,
         plan: Plan,
+        hook: Hook | None,
         path: Path,
         progress: Callable[[Progress], None],
         interrupted: Interruption,
@@ -125,6 +131,7 @@ class _Run:
         self._bus: Bus | None = None
         self._devices: Devices | None = None
         self._goes_on_alone = False
+        self._around = AroundSteps(plan.experiment, hook, path, control.changed)
         self._refusals = Refusals(lambda text: self._publish("rejected", text))
 
     def run(self) -> RunResult:
@@ -169,7 +176,9 @@ class _Run:
         with recorder, ExitStack() as subscriptions:
             try:
                 self._become(RunState.STARTING, "starting")
-                self._start(bus, devices, twins, subscriptions)
+                self._connect(bus, devices, twins, subscriptions)
+                self._around.before(devices, partial(self._look, recorder, devices))
+                devices.start()
                 self._become(RunState.RUNNING, "all devices are connected")
                 recorder.begin()
                 self._follow(recorder, devices)
@@ -177,8 +186,11 @@ class _Run:
                 reason = str(enough)
             except LabhilError as found:
                 error = found
+            except Exception as found:  # noqa: BLE001 - a fault of ours must not look like a run that has ended well
+                error = RunError(f"the run itself failed: {found!r}")
+                error.__cause__ = found
             finally:
-                failure = self._stop(devices, error, reason)
+                failure = self._stop(recorder, devices, error, reason)
             error = error or failure
             reason = reason if error is None else str(error)
             self._become(RunState.FINISHED if error is None else RunState.FAILED, reason)
@@ -190,7 +202,7 @@ class _Run:
 
     # starting
 
-    def _start(self, bus: Bus, devices: Devices, twins: ExitStack, subscriptions: ExitStack) -> None:
+    def _connect(self, bus: Bus, devices: Devices, twins: ExitStack, subscriptions: ExitStack) -> None:
         try:
             self._look_at_requests()
             addresses = self._addresses(twins)
@@ -201,7 +213,6 @@ class _Run:
         except RunStoppedError:
             self._look_at_requests()  # which knows why, and whether it is an error
             raise
-        devices.start()
 
     def _addresses(self, twins: ExitStack) -> dict[str, str]:
         """Where every device is; simulated ones are started, all at once."""
@@ -243,10 +254,9 @@ class _Run:
     def _metadata(self) -> dict[str, dict[str, str]]:
         section = self._plan.experiment.experiment
         told = {"name": section.name, "duration": repr(self._plan.duration)}
-        free = {"operator": section.operator, "sample": section.sample, "notes": section.notes}
-        told |= {key: text for key, text in free.items() if text}
-        if section.tags:
-            told["tags"] = json.dumps(section.tags, ensure_ascii=False)
+        for key, value in section.metadata().items():
+            if value:
+                told[key] = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
         return {"experiment": told, **{name: dict(more) for name, more in self._more_metadata.items()}}
 
     # running
@@ -255,25 +265,27 @@ class _Run:
         while not devices.done:
             self._control.changed.wait(PROGRESS_INTERVAL)
             self._control.changed.clear()
-            self._look_at_requests()
-            recorder.check()
-            for text in devices.ended_early():
-                self._publish("step", text)
-            devices.look_after()
-            self._look_at_latch()
+            self._publish_steps(devices)
+            self._look(recorder, devices)
             self._wait_or_go_on(devices)
             self._report("")
-        for text in devices.ended_early():
+        self._publish_steps(devices)
+
+    def _publish_steps(self, devices: Devices) -> None:
+        for text in devices.step_notes():
             self._publish("step", text)
 
-    def _look_at_latch(self) -> None:
-        """Hear the emergency stop without any device and without the bus, too."""
-        try:
-            standing = read_latch()
-        except (LabhilError, OSError):
-            return  # a directory that cannot be read is no stop; hosts look there as well
-        if standing is not None:
-            raise EmergencyStopError(standing.describe())
+    def _look(self, recorder: Recorder, devices: Devices) -> None:
+        """Do what was asked for, and raise what has gone wrong anywhere."""
+        self._look_at_requests()
+        self._check(recorder, devices)
+
+    def _check(self, recorder: Recorder, devices: Devices) -> None:
+        if self._interrupted():
+            raise RunStoppedError(f"stopped by {self._interrupted.reason}")
+        recorder.check()
+        devices.look_after()
+        raise_standing_stop()
 
     def _look_at_requests(self) -> None:
         """Do what was asked for; raises _Enough or RunStoppedError where that is to end."""
@@ -325,7 +337,9 @@ class _Run:
 
     # stopping
 
-    def _stop(self, devices: Devices, error: LabhilError | None, reason: str) -> LabhilError | None:
+    def _stop(
+        self, recorder: Recorder, devices: Devices, error: LabhilError | None, reason: str
+    ) -> LabhilError | None:
         if error is None:
             self._become(RunState.STOPPING, reason)
         else:
@@ -336,7 +350,11 @@ class _Run:
             time.sleep(AFTER_EMERGENCY_STOP)
         elif any(device.spec.waypoint_rate for device in self._plan.devices):
             time.sleep(COMING_TO_REST)
-        devices.end_hosts()
+        try:
+            look = partial(self._check, recorder, devices)
+            failure = failure or self._around.after(devices, look, error, reason)
+        finally:
+            devices.end_hosts()
         return failure
 
     def _give_up(self, reason: str) -> None:
@@ -352,13 +370,8 @@ class _Run:
 
     def _publish(self, kind: str, message: str, t_ns: int | None = None) -> None:
         if self._bus is not None:
-            state = self._control.state.value
-            event = {
-                "t_ns": unix_ns() if t_ns is None else t_ns,
-                "kind": kind,
-                "state": state,
-                "message": message,
-            }
+            stamp, state = unix_ns() if t_ns is None else t_ns, self._control.state.value
+            event = {"t_ns": stamp, "kind": kind, "state": state, "message": message}
             # a bus that is closed must not hide why the run ends
             with suppress(BusError):
                 publish_event(self._bus, "run", event)

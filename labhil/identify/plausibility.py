@@ -19,7 +19,8 @@ from scipy.ndimage import median_filter
 from labhil.physics.facts import TIME, Fact
 from labhil.physics.model import Record
 from labhil.physics.rigs import rig_model
-from labhil.rig import Channel, RigFile
+from labhil.rig import RigFile
+from labhil.rig_sections import Channel
 from labhil.signals import FloatArray
 
 DEGREE = pi / 180.0

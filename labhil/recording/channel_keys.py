@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from labhil.rig import Channel
+from labhil.rig_sections import Channel
 from labhil.signals import FloatArray, Hold, Signal, Stream
 
 

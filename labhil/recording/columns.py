@@ -12,7 +12,7 @@ from labhil.recording.chunks import is_mcap, scan
 from labhil.recording.formats.apart import read_apart
 from labhil.recording.formats.columns import Columns
 from labhil.recording.formats.text import read_text
-from labhil.rig import Table
+from labhil.rig_sections import Table
 from labhil.terminal import printable_name
 
 READ = "text tables, MAT files, Parquet, XLSX and ROS 2 bags"

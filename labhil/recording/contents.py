@@ -29,10 +29,15 @@ def tags_of(recording: Recording) -> tuple[str, ...]:
 
 def how_it_ended(recording: Recording) -> str:
     """Return "done", "failed", "imported", or "no end" for one whose recorder was killed."""
-    end = recording.metadata.get("end", {})
-    if not recording.complete or not end:
+    return ending_of(recording.metadata) if recording.complete else "no end"
+
+
+def ending_of(metadata: Mapping[str, Mapping[str, str]]) -> str:
+    """Return how a recording with this metadata ended, as :func:`how_it_ended`."""
+    end = metadata.get("end", {})
+    if not end:
         return "no end"
-    if "experiment" not in recording.metadata:
+    if "experiment" not in metadata:
         return "imported"
     return "done" if end.get("exit_status") in ("0", "done") else "failed"
 

@@ -13,13 +13,18 @@ from labhil.errors import LabhilError, UsageError
 from labhil.recording.contents import FREE_TEXT, how_it_ended, started_at, tags_of
 from labhil.recording.reader import Recording, read_recording
 
-RESULTS = {"labhil.fit/1": "fit", "labhil.diagnosis/1": "diagnosis", "labhil.campaign/1": "campaign"}
+RESULTS = {
+    "labhil.fit/1": "fit",
+    "labhil.diagnosis/1": "diagnosis",
+    "labhil.verification/1": "verification",
+    "labhil.campaign/1": "campaign",
+}
 LARGEST_RESULT = 64 << 20
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One file: a recording, or the result of a fit or diagnosis, or a campaign.
+    """One file: a recording, the result of a fit, a diagnosis or a verification, or a campaign.
 
     ``start`` is when its first sample was taken, or when the file was written where no sample says that.
     ``text`` is what a search looks into.

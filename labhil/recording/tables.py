@@ -23,7 +23,8 @@ from labhil.recording.slow_channels import fill_slow
 from labhil.recording.stated_units import check_units
 from labhil.recording.time_column import Clock, Ordered, best_clock, order_rows, read_clock, time_notes
 from labhil.recording.writer import RecordingWriter, media_type
-from labhil.rig import Channel, Column, RigFile
+from labhil.rig import RigFile
+from labhil.rig_sections import Channel, Column
 from labhil.signals import Batch, Direction, FloatArray, IntArray, Signal, Stream
 
 TIME_COLUMNS = ("t", "time", "timestamp")

@@ -7,13 +7,13 @@ import os
 import queue
 import subprocess
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 from typing import Self
 
 from labhil.errors import BusError
+from labhil.supervised import SupervisedThread
 
 STOP_TIMEOUT = 5.0
 """How long a child may take to end once its standard input is closed, s."""
@@ -46,16 +46,24 @@ class Child:
             env={**os.environ, **(environment or {})},
         )
         self._lines: queue.SimpleQueue[str | None] = queue.SimpleQueue()
-        self._reader = threading.Thread(target=self._read_lines, name=f"lines of {name}", daemon=True)
+        self._reader = SupervisedThread(
+            self._read_lines, f"lines of {name}", daemon=True, on_failure=lambda: self._lines.put(None)
+        )
         self._reader.start()
 
     def _read_lines(self) -> None:
         assert self._process.stdout is not None
-        try:
-            for line in self._process.stdout:
-                self._lines.put(line.rstrip("\n"))
-        finally:
-            self._lines.put(None)
+        for line in self._process.stdout:
+            self._take_line(line)
+        self._reader.end()  # the child closes its output when it likes
+        self._lines.put(None)
+
+    def _take_line(self, line: str) -> None:
+        self._lines.put(line.rstrip("\n"))
+
+    def deafness(self) -> str:
+        """Return why nothing that the child says is heard any more; empty while all is well."""
+        return self._reader.failure()
 
     @property
     def pid(self) -> int:

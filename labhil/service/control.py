@@ -153,9 +153,7 @@ class DeviceControl:
 
     def _turn(self, before: float) -> float:
         """Take in samples, answer, keep watch; returns when that was. ``before`` is the last turn's time."""
-        if deaf := self._bus.failure():
-            # a host that no longer hears must not go on commanding
-            raise BusError(f"the host of {self._config.device!r}: {deaf}")
+        self._refuse_to_be_deaf()
         batch = self._driver.read(READ_TIMEOUT)
         now = time.monotonic()
         if len(batch):
@@ -173,6 +171,11 @@ class DeviceControl:
         self._keep_watch(now, now - before)
         return now
 
+    def _refuse_to_be_deaf(self) -> None:
+        """Raise BusError where something is heard no more: such a host must not go on commanding."""
+        if deaf := self._bus.failure():
+            raise BusError(f"the host of {self._config.device!r}: {deaf}")
+
     def _look_for_the_device(self, error: DeviceError) -> None:
         """Try to connect again, and answer meanwhile; raises what the last attempt did."""
         self._to_safety(HostState.RECONNECTING, f"{error}; looking for it again", "lost")
@@ -182,6 +185,7 @@ class DeviceControl:
             while (info := search.result(READ_TIMEOUT)) is None:
                 if self._ended() or self._shut_down_reason:
                     return
+                self._refuse_to_be_deaf()
                 now = time.monotonic()
                 self._look_at_latch(now)
                 self._answer_requests(now, 0.0)
@@ -274,6 +278,7 @@ class DeviceControl:
                 answer = self._obey(request, now)
             except CommandRefusedError as error:
                 if request.answer is None:
+                    self._look_at_latch(now)  # a stop that came with it is told before what it refuses
                     self._refuse_once(str(error))
                 else:
                     request.answer.set_exception(error)

@@ -91,11 +91,14 @@ class HostProcess:
     def failure(self) -> LabhilError | None:
         """Return why the host ended, when it has although nobody told it to; None while it runs."""
         if self._child.exit_status() is None:
-            return None
+            deaf = self._child.deafness()
+            return BusError(f"{self._child.name} is not heard any more: {deaf}") if deaf else None
         return self._how_it_ended(_parsed(self._child.line(1.0)))
 
     def _how_it_ended(self, said: Mapping[str, Any]) -> LabhilError:
         ended = said.get("ended")
+        if deaf := self._child.deafness():
+            return BusError(f"{self._child.name} is not heard any more: {deaf}")
         if ended is not None and ended["error"] is not None:
             return error_named(ended["error"], f"{self.config.device}: {ended['reason']}")
         if ended is not None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labhil.rig import Interlock
+from labhil.rig_sections import Interlock
 from labhil.signals import Batch, FloatArray, Stream
 
 

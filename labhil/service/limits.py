@@ -8,7 +8,7 @@ from math import isfinite
 import numpy as np
 
 from labhil.errors import CommandRefusedError, UnknownNameError
-from labhil.rig import Limit
+from labhil.rig_sections import Limit
 from labhil.signals import Batch, Signal, Stream
 
 COMMAND_MARGIN = 0.01

@@ -10,7 +10,7 @@ from typing import Any
 
 from labhil.bus.incoming import SetpointMessage, parse, validate
 from labhil.documents import parse_json
-from labhil.rig import Interlock, Limit
+from labhil.rig_sections import Interlock, Limit
 
 WATCHDOG = 0.22
 """How long commands may stop, s of the host's clock, before a host brings its device to safety.

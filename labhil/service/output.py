@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from labhil.driver import Driver, TimedDriver
 from labhil.host_clock import unix_ns
-from labhil.rig import Limit
+from labhil.rig_sections import Limit
 from labhil.service.declared import safe_values
 from labhil.service.limits import CommandLimits
 from labhil.signals import Batch

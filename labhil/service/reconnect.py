@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from labhil.driver import DeviceInfo, Driver
 from labhil.errors import BusError, DeviceError, LabhilError, ProtocolError
 from labhil.signals import Batch
+from labhil.supervised import SupervisedThread
 
 FIRST_WAIT = 0.1
 LONGEST_WAIT = 2.0
@@ -32,7 +33,7 @@ class Search:
         self._over = threading.Event()
         self._cancelled = threading.Event()
         # a driver that hangs while it connects must not keep its host from ending
-        self._thread = threading.Thread(target=self._run, name="reconnect", daemon=True)
+        self._thread = SupervisedThread(self._run, "reconnect", daemon=True, on_failure=self._over.set)
         self._thread.start()
 
     def result(self, timeout: float) -> DeviceInfo | None:
@@ -41,6 +42,8 @@ class Search:
             return None
         if self._error is not None:
             raise self._error
+        if died := self._thread.failure():
+            raise BusError(f"the search failed: {died}")
         return self._found
 
     def cancel(self) -> None:
@@ -50,10 +53,9 @@ class Search:
     def _run(self) -> None:
         try:
             self._look()
-        except Exception as error:  # noqa: BLE001 - whoever waits for a search has to hear how it ended
-            self._error = (
-                error if isinstance(error, LabhilError) else BusError(f"the search failed: {error!r}")
-            )
+        except LabhilError as error:
+            self._error = error
+        self._thread.end()
         self._over.set()
 
     def _look(self) -> None:

@@ -9,7 +9,6 @@ disk that fails ends the recording, but never holds up the publishers.
 from __future__ import annotations
 
 import queue
-import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -40,6 +39,7 @@ from labhil.recording.stamps import HOST_CLOCK
 from labhil.recording.writer import RecordingWriter, media_type
 from labhil.service.recorded import RecordedStream, StreamSummary
 from labhil.signals import Direction
+from labhil.supervised import SupervisedThread
 
 TICK = 0.1
 """s; how long the writer thread waits for samples before it looks at the clock."""
@@ -137,7 +137,7 @@ class Recorder:
             for begun in (self._writer.path, self._writer.part):
                 begun.unlink(missing_ok=True)  # nothing is in it, and it would look like a recording
             raise
-        self._thread = threading.Thread(target=self._run, name=f"record {path.name}")
+        self._thread = SupervisedThread(self._run, f"record {path.name}", on_failure=on_failure)
         self._thread.start()
 
     def begin(self) -> None:
@@ -194,9 +194,8 @@ class Recorder:
     def check(self) -> None:
         """Raise RecordingFailedError when nothing is recorded any more, whatever the reason."""
         if self.failure is None and not self._finished:
-            deaf = self._subscription.failure() or self._schemas.failure()
-            if deaf or not self._thread.is_alive():
-                why = deaf or "its thread has died"
+            why = self._subscription.failure() or self._schemas.failure() or self._thread.failure()
+            if why:
                 self._deaf = RecordingFailedError(f"{self._writer.path}: the recorder failed: {why}")
                 raise self._deaf
         if self.failure is not None:
@@ -208,6 +207,7 @@ class Recorder:
             time.sleep(QUIET / 5)
         self._subscription.close()
         self._schemas.close()
+        self._thread.end()
         self._queue.put(None)
         self._thread.join()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any, NamedTuple
 
@@ -108,16 +108,26 @@ def write_value(model: Any, field: Field, of: int, value: float) -> None:
 class Mechanism:
     """A MuJoCo model with one joint (satisfies ``simulators.stepped.Stepped``)."""
 
-    def __init__(self, model: Any, driven: Driven, values: Sequence[Value], held: Held) -> None:
-        self._model, self._driven, self.values, self._held = model, driven, tuple(values), held
+    def __init__(
+        self, model: Any, driven: Driven, values: Sequence[Value], held: Held, late: float = 0.0
+    ) -> None:
+        self._model, self._driven, self.values, self._own, self._late = model, driven, values, held, late
         self._smooth = _smooth(model, driven)
         self.push: Push | None = None
         self._data = load_optional("mujoco", PURPOSE).MjData(self._smooth)
 
     @property
     def held(self) -> Held:
-        """Friction, ends of the way, limits and delay of the file."""
-        return self._held
+        """Ends of the way, limits and delay of the file.
+
+        What all sensors are late by, the input may be as well: the recorded state is then the delayed one.
+        """
+        return replace(self._own, delay=self._own.delay + self._late)
+
+    @property
+    def input_delay(self) -> float:
+        """How late the file's actuator alone is, s."""
+        return self._own.delay
 
     @property
     def timestep(self) -> float:
@@ -162,7 +172,8 @@ class Mechanism:
         self, numbers: Sequence[float], record: Record, nodes: Nodes, windows: Windows, states: FloatArray
     ) -> FloatArray:
         """Position and velocity (N, 2) of all windows, stepped by MuJoCo with all that the file has."""
-        model = self.with_values(numbers)
+        model, (t, u) = self.with_values(numbers), nodes
+        nodes = (t + self._late, u)
         return roll_out(model, self._driven, record, nodes, windows, states, self.push)
 
     def _at(self, model: Any, numbers: Sequence[float], *, smooth: bool) -> Any:

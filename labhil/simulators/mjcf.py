@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,8 @@ from labhil.errors import UsageError, suggestion
 from labhil.extras import load_optional
 from labhil.simulators.mechanism import PURPOSE, RUBS, Field, Mechanism, Value, read_value
 from labhil.simulators.mjcf_file import Described, Names, load_model, names_of
+from labhil.simulators.mjcf_unheld import notes_on, refuse_unheld, sensor_delay
+from labhil.simulators.names import identifier
 from labhil.simulators.rollouts import Driven
 from labhil.simulators.simulator import Coordinate, Quantity, Simulator, declare
 from labhil.simulators.stepped import Held
@@ -70,17 +71,20 @@ def describe(
     model = load_model(file)
     has = names_of(model)
     joint = _only_joint(model, file, has)
+    refuse_unheld(model, file)
     hinge = model.jnt_type[joint] == int(load_optional("mujoco", PURPOSE).mjtJoint.mjJNT_HINGE)
     length, force = ("rad", "N·m") if hinge else ("m", "N")
     signal, driven = _input(model, file, has, joint, inputs)
-    position, velocity, measured = _outputs(model, file, has, joint, outputs)
+    position, velocity, measured, sensors = _outputs(model, file, has, joint, outputs)
+    late = sensor_delay(model, file, sensors)
     values = tuple(_values(model, joint, driven, hinge))
     states = {position: length, velocity: f"{length}/s"}
-    called = _identifier(name or _model_name(model, file))
-    frictions = {name: read_value(model, field, joint) for field, name in RUBS.items()}
+    called = identifier(name or _model_name(model, file))
+    frictions = {name: _friction(model, field, joint) for field, name in RUBS.items()}
     terms = [name.partition(".")[0] for name, strength in frictions.items() if strength]
     begins = tuple(dict.fromkeys((VISCOUS, *terms)))
-    mechanism = Mechanism(model, driven, values, _held(model, joint, driven, file))
+    mechanism = Mechanism(model, driven, values, _held(model, joint, driven, file), late)
+    _check_moves(file, mechanism, [value.start for value in values], signal)
     made = Simulator(
         _not_compiled,
         called,
@@ -94,6 +98,7 @@ def describe(
         mechanism,
         {value.name: value.start for value in values}
         | {name: strength for name, strength in frictions.items() if name.partition(".")[0] in begins},
+        notes_on(model, has, driven.actuator, sensors),
     )
     declare(made, begins)
     return Described(file, model, made, mechanism, driven.actuator)
@@ -136,9 +141,9 @@ def _input(
         raise UsageError(f"{file}: inputs: expected one signal, found {', '.join(stated) or 'none'}")
     ((signal, of),) = stated.items()
     if of in has.actuators:
-        return _identifier(signal), _driven(model, file, of, has.actuators.index(of), joint)
+        return identifier(signal), _driven(model, file, of, has.actuators.index(of), joint)
     if of in has.joints:
-        return _identifier(signal), Driven(-1, 0)
+        return identifier(signal), Driven(-1, 0)
     known = (*has.actuators, *has.joints)
     raise UsageError(
         f"{file}: inputs: {signal}: no actuator or joint {of!r}{suggestion(of, known)}; {has.listed()}"
@@ -156,8 +161,8 @@ def _driven(model: Any, file: Path, name: str, actuator: int, joint: int) -> Dri
 
 def _outputs(
     model: Any, file: Path, has: Names, joint: int, stated: Mapping[str, str] | None
-) -> tuple[str, str, tuple[str, ...]]:
-    """Names of position and velocity, and which of the two are measured."""
+) -> tuple[str, str, tuple[str, ...], tuple[int, ...]]:
+    """Names of position and velocity, which of the two are measured, and the sensors' numbers."""
     velocities = int(load_optional("mujoco", PURPOSE).mjtSensor.mjSENS_JOINTVEL)
     sensors = [s for s in has.sensors if s]
     given = (
@@ -172,12 +177,13 @@ def _outputs(
                 f"{of!r}{suggestion(of, known)}; {has.listed()}"
             )
         is_rate = of in sensors and int(model.sensor_type[has.sensors.index(of)]) == velocities
-        found.setdefault(is_rate, _identifier(signal))
+        found.setdefault(is_rate, identifier(signal))
     if not found:
         raise UsageError(f"{file}: outputs: expected one signal at least, found none; {has.listed()}")
-    position = found.get(False, _identifier(has.joints[joint]))
+    position = found.get(False, identifier(has.joints[joint]))
     velocity = found.get(True, f"{position}_velocity")
-    return position, velocity, tuple(found.values())
+    used = tuple(has.sensors.index(of) for of in given.values() if of in sensors)
+    return position, velocity, tuple(found.values()), used
 
 
 def _values(model: Any, joint: int, driven: Driven, hinge: bool) -> Iterable[Value]:
@@ -204,32 +210,82 @@ def _values(model: Any, joint: int, driven: Driven, hinge: bool) -> Iterable[Val
     first = int(model.jnt_bodyid[joint])
     for body in range(first, model.nbody):
         if model.body_dofnum[body] or model.body_weldid[body] == first:
-            yield from value(Field.MASS, body, f"{_identifier(_body(model, body))}_mass")
+            yield from value(Field.MASS, body, f"{identifier(_body(model, body))}_mass")
     yield from value(Field.ARMATURE, joint)
     if driven.actuator >= 0:
         yield from value(Field.GEAR, driven.actuator)
-        if model.actuator_biastype[driven.actuator]:
+        if _is_servo(model, driven.actuator):
             yield from value(Field.KP, driven.actuator)
             yield from value(Field.KV, driven.actuator)
 
 
 def _held(model: Any, joint: int, driven: Driven, file: Path) -> Held:
-    """What is solved apart: friction, ends of the way, limits of the input and its delay."""
-    way = tuple(model.jnt_range[joint].tolist()) if model.jnt_limited[joint] else (-np.inf, np.inf)
+    """What is solved apart: ends of the way, limits of the input and its delay."""
+    ended = model.jnt_limited[joint] and not _is_off(model, "LIMIT")
+    way = tuple(model.jnt_range[joint].tolist()) if ended else (-np.inf, np.inf)
     k = driven.actuator
     if k < 0:
         return Held(way)
-    low, high = model.actuator_ctrlrange[k].tolist() if model.actuator_ctrllimited[k] else (-np.inf, np.inf)
-    if model.actuator_forcelimited[k]:
-        if model.actuator_biastype[k]:
-            raise UsageError(
-                f"{file}: expected a servo without forcerange, found one; its limit is no limit of the input"
-            )
-        gain = float(model.actuator_gainprm[k][0])
-        ends = sorted((model.actuator_forcerange[k] / gain).tolist())
-        low, high = max(low, ends[0]), min(high, ends[1])
+    clipped = model.actuator_ctrllimited[k] and not _is_off(model, "CLAMPCTRL")
+    low, high = model.actuator_ctrlrange[k].tolist() if clipped else (-np.inf, np.inf)
+    for least, most in _limits_of_force(model, joint, k, file):
+        low, high = max(low, least), min(high, most)
     delay = float(model.actuator_delay[k]) if hasattr(model, "actuator_delay") else 0.0
     return Held(way, (low, high), delay)
+
+
+def _limits_of_force(model: Any, joint: int, k: int, file: Path) -> Iterable[tuple[float, float]]:
+    """Limits of the actuator's and of the joint's force, as limits of the input."""
+    gain, gear = float(model.actuator_gainprm[k][0]), float(model.actuator_gear[k][0])
+    limits = [("forcerange", model.actuator_forcerange[k], gain)] * bool(model.actuator_forcelimited[k])
+    if hasattr(model, "jnt_actfrclimited") and model.jnt_actfrclimited[joint]:
+        limits.append(("actuatorfrcrange", model.jnt_actfrcrange[joint], gain * gear))
+    for name, ends, per_input in limits:
+        if model.actuator_biastype[k] or model.actuator_gaintype[k] or not per_input:
+            raise UsageError(
+                f"{file}: expected {name} at an actuator whose force is in proportion to its input (motor), "
+                "found it at another, where it is no limit of the input. Leave it out, and keep the "
+                "recording below it"
+            )
+        least, most = sorted((ends / per_input).tolist())
+        yield float(least), float(most)
+
+
+def _is_off(model: Any, what: str) -> bool:
+    """Whether a flag of the file switches something off."""
+    bits = load_optional("mujoco", PURPOSE).mjtDisableBit
+    mine = int(getattr(bits, f"mjDSBL_{what}", 0))
+    if what in ("LIMIT", "FRICTIONLOSS"):
+        mine |= int(bits.mjDSBL_CONSTRAINT)
+    return bool(model.opt.disableflags & mine)
+
+
+def _friction(model: Any, field: Field, joint: int) -> float:
+    """A friction of the file; 0 where its flags switch that off."""
+    off = "FRICTIONLOSS" if field is Field.FRICTIONLOSS else "DAMPER"
+    return 0.0 if _is_off(model, off) else read_value(model, field, joint)
+
+
+def _is_servo(model: Any, k: int) -> bool:
+    """Whether an actuator is a servo of position or velocity, whose kp and kv are its values."""
+    affine = int(load_optional("mujoco", PURPOSE).mjtBias.mjBIAS_AFFINE)
+    gain, (_, stiff, damp) = float(model.actuator_gainprm[k][0]), model.actuator_biasprm[k][:3].tolist()
+    fixed = int(model.actuator_biastype[k]) == affine and not model.actuator_gaintype[k]
+    return fixed and (stiff == -gain or (stiff == 0.0 and damp == -gain))
+
+
+def _check_moves(file: Path, mechanism: Mechanism, starts: list[float], signal: str) -> None:
+    """UsageError unless the joint has inertia, and the input pushes it."""
+    inertia = mechanism.inertia(starts)
+    if not inertia > 0.0:
+        raise UsageError(f"{file}: expected a joint with an inertia above 0, found {inertia:g}")
+    here, ask = np.zeros(2), mechanism.ask(starts)
+    rest, pushed = ask(here, here, np.array([0.0, 1.0])).tolist()
+    if rest == pushed:
+        raise UsageError(
+            f"{file}: inputs: expected {signal} to push the joint, found that it changes nothing: a gain or "
+            "gear of 0, or actuation that a flag of the file switches off"
+        )
 
 
 def _pushes_directly(model: Any, driven: Driven) -> bool:
@@ -248,9 +304,3 @@ def _body(model: Any, body: int) -> str:
 def _model_name(model: Any, file: Path) -> str:
     named = bytes(model.names).split(b"\0", 1)[0].decode("utf-8", "replace")
     return file.stem if named in ("", "MuJoCo Model") else named
-
-
-def _identifier(text: str) -> str:
-    """A name of letters, digits and _ that is near to any text."""
-    found = re.sub(r"\W+", "_", text).strip("_") or "mechanism"
-    return found if not found[0].isdigit() else f"_{found}"

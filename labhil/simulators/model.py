@@ -156,7 +156,8 @@ class SimulatorModel:
                 "parameters, found some that are none; give starts that are nearer, or bounds"
             )
         dead = dead_parameters(simulate, theta, [p.name for p in own])
-        self.notes = [_dead_note(name, self.simulator, self.kind) for name in dead]
+        self.notes = [*self.simulator.notes]
+        self.notes += [_dead_note(name, self.simulator, self.kind) for name in dead]
         alive = self._without(own, dead)
         if self.simulator.stepped is not None:
             self.notes += self._beside_itself(self.simulator.stepped, record, windows, states)
@@ -296,7 +297,7 @@ class SimulatorModel:
             return self.simulator.records[2](*numbers)
         ask = self.simulator.stepped.ask(numbers)
         if self._shape is None:
-            self._shape = Shape.of(ask, self._reach, self.kind)
+            self._shape = Shape.of(ask, self._reach, self.kind, self._held.rough)
         return table_of(ask, self._reach, self._shape, self._held.clip)
 
     def _part(self, theta: FloatArray) -> tuple[tuple[Any, Pushes], float]:

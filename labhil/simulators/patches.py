@@ -227,7 +227,7 @@ def _add_delay(described: Described, text: XmlText, value: float) -> bool:
         return True
     if described.driven < 0 or not described.has_delays:
         return False
-    actuator, delay = _actuator(described, text), described.mechanism.held.delay + value
+    actuator, delay = _actuator(described, text), described.mechanism.input_delay + value
     why = f"time_delay.delay = {number(value)} s"
     text.set(actuator, "nsample", str(ceil(delay / described.mechanism.timestep * LONGER) + 1), why)
     text.set(actuator, "interp", "linear", why)

@@ -16,9 +16,14 @@ if TYPE_CHECKING:
 POINTS = (0.0, 0.1, -0.2)
 """States at which f is called, of each in turn, in their own units."""
 
-SAME, SAME_OF_STEPS = 1e-9, 1e-3
+SAME, SAME_OF_STEPS, SAME_OF_SOLVERS = 1e-9, 1e-3, 1e-2
+"""Share by which a rate may be missed: as it is given, from a step, and from what a solver inside makes."""
+
 ROUNDED = 1e-6
 """Share of an acceleration by which that of a step function may change through rounding."""
+
+SOLVED = 1e-3
+"""The same where a solver inside makes steps of its own, many of them Euler's."""
 
 MOVED = 1e-3
 """Share of itself by which a parameter is moved to see whether anything changes."""
@@ -44,6 +49,12 @@ def tried(simulator: Simulator, same: float = SAME) -> None:
                 _refuse(simulator, f"the rate of {position} to be {velocity} = {v:g}, found {first[0]:g}")
 
 
+def called(simulator: Simulator) -> None:
+    """Call f once; UsageError where it cannot be called, or gives something else than rates."""
+    values = [quantity.start for quantity in simulator.parameters.values()] or [0.0]
+    _rates(simulator, 0.0, (POINTS[1], POINTS[2]), 0.5, values)
+
+
 def is_damped(simulator: Simulator, same: float = 0.0) -> bool:
     """Whether its acceleration changes with the velocity anywhere, by more than a share ``same`` of it."""
     values = [quantity.start for quantity in simulator.parameters.values()] or [0.0]
@@ -58,6 +69,8 @@ def _rates(
     where = f"at x = {state}, u = {u:g}"
     try:
         found = np.asarray(simulator.f(t, states(*state), inputs(u), parameters(*values)), dtype=np.float64)
+    except UsageError:
+        raise
     except Exception as error:
         raise UsageError(
             f"simulator {simulator.name!r}: expected rates {where}, found {type(error).__name__}: {error}"

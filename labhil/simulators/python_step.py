@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from labhil.physics.model import Record, Windows
 from labhil.signals import FloatArray
-from labhil.simulators.rollouts import means
+from labhil.simulators.pointwise import accelerations_at, extrapolated, rolled_out
 from labhil.simulators.stepped import Held, Nodes
 from labhil.simulators.tables import Ask
 
@@ -26,7 +27,7 @@ def rates_of(step: StepFunction, state: Any, u: Any, p: Any) -> tuple[float, flo
     once, twice = (np.asarray(step(state, u, p, h), dtype=np.float64) for h in (SHORT, 2.0 * SHORT))
     if once.shape != here.shape or twice.shape != here.shape:
         return tuple(once.tolist())  # of a wrong number of states, which is said where it is tried out
-    found = 2.0 * (once - here) / SHORT - (twice - here) / (2.0 * SHORT)
+    found = extrapolated(here, once, twice, SHORT)
     return float(found[0]), float(found[1])
 
 
@@ -43,11 +44,10 @@ class PythonStep:
         states, inputs, parameters = self._records
         p = parameters(*numbers)
 
-        def accelerations(x: FloatArray, v: FloatArray, u: FloatArray) -> FloatArray:
-            points = zip(x.tolist(), v.tolist(), u.tolist(), strict=True)
-            return np.array([rates_of(self._step, states(*at), inputs(drive), p)[1] for *at, drive in points])
+        def rates(at: Sequence[float], drive: float) -> tuple[float, float]:
+            return rates_of(self._step, states(*at), inputs(drive), p)
 
-        return accelerations
+        return partial(accelerations_at, rates)
 
     def inertia(self, numbers: Sequence[float]) -> float | None:
         """Only its input is known to push."""
@@ -58,13 +58,9 @@ class PythonStep:
     ) -> FloatArray:
         """Position and velocity (N, 2), stepped from sample to sample under the mean of the input."""
         names, inputs, parameters = self._records
-        p, out, row = parameters(*numbers), np.empty((len(windows.rows), 2)), 0
-        for w, (first, last) in enumerate(zip(windows.first, windows.last, strict=True)):
-            t, state = record.t[first:last], np.asarray(states[w], dtype=np.float64)
-            drives = means(nodes, t) if len(t) > 1 else np.empty(0)
-            out[row] = state
-            for k, (u, dt) in enumerate(zip(drives.tolist(), np.diff(t).tolist(), strict=True), 1):
-                state = np.asarray(self._step(names(*state.tolist()), inputs(u), p, dt), dtype=np.float64)
-                out[row + k] = state
-            row += len(t)
-        return out
+        p = parameters(*numbers)
+
+        def go(state: FloatArray, drive: float, length: float) -> FloatArray:
+            return np.asarray(self._step(names(*state.tolist()), inputs(drive), p, length), dtype=np.float64)
+
+        return rolled_out(record, nodes, windows, states, go)

@@ -16,7 +16,17 @@ from labhil.physics.rigs import RigModel, declare_model
 from labhil.physics.terms import Parameter
 from labhil.rig import RigFile, parse_rig
 from labhil.signals import Direction, Hold, Signal
-from labhil.simulators.probing import ROUNDED, SAME, SAME_OF_STEPS, is_damped, tried
+from labhil.simulators.probing import (
+    ROUNDED,
+    SAME,
+    SAME_OF_SOLVERS,
+    SAME_OF_STEPS,
+    SOLVED,
+    called,
+    is_damped,
+    tried,
+)
+from labhil.simulators.python_rollout import PythonRollout, RolloutFunction
 from labhil.simulators.python_step import PythonStep, StepFunction, rates_of
 
 if TYPE_CHECKING:
@@ -26,8 +36,8 @@ RightHandSide = Callable[[float, Any, Any, Any], Sequence[float]]
 """``f(t, x, u, p)`` to the rates of the states; x, u and p have their values by name and by number."""
 
 DECADES = 1e3
-RATES, STEP = KINDS = ("rates", "step")
-"""What a function may give: the rates of the states, or the states a step later."""
+RATES, STEP, ROLLOUT = KINDS = ("rates", "step", "rollout")
+"""What a function may give: the rates of the states, the states a step later, or at all of many times."""
 
 UNDAMPED = ("viscous_friction",)
 """What a simulator without damping of its own begins with."""
@@ -86,7 +96,8 @@ class Simulator:
     """A simulator as its user describes it; made by :func:`simulator`. Wherever a rig may be named, it may.
 
     One that only answers when it is called, a step or a MuJoCo file, is ``stepped``; ``nominal`` are values
-    of a file that stand for the user's simulation, as ``[nominal]`` of a rig file would.
+    of a file that stand for the user's simulation, as ``[nominal]`` of a rig file would. ``notes`` say what
+    of a file is not part of what is fitted.
 
     Example:
         >>> import labhil as lh
@@ -112,6 +123,7 @@ class Simulator:
     horizon: float | None
     stepped: Stepped | None = None
     nominal: Mapping[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     @property
     def kind(self) -> RigKind:
@@ -156,7 +168,7 @@ class Simulator:
 
 
 def simulator(
-    f: RightHandSide | StepFunction,
+    f: RightHandSide | StepFunction | RolloutFunction,
     *,
     states: Mapping[str, str],
     inputs: Mapping[str, str],
@@ -171,12 +183,14 @@ def simulator(
 
     The right-hand side is that of one coordinate: a position, its velocity and one input. It has to be
     smooth: friction, stops of dead zones and the like are what the catalogue adds. numba compiles it. A
-    function that makes a step may be any Python: its acceleration is tabulated.
+    function that makes a step, or simulates a whole input, may be any Python: its acceleration is tabulated.
 
     Args:
         f: ``f(t, x, u, p)`` to the rates of the states, in their order. ``x.angle``, ``u.torque`` and
             ``p.inertia`` are the values by name; by number they are there too. With ``kind="step"``
-            ``f(x, u, p, dt)`` to the states ``dt`` s later.
+            ``f(x, u, p, dt)`` to the states ``dt`` s later; with ``kind="rollout"`` ``f(p, t, u, x0)`` to the
+            states (n, 2) at the times ``t`` (n,), from ``x0`` at the first, where ``u.torque`` (n,) is held
+            from each time to the next.
         states: Units by name: the position, then its velocity.
         inputs: Unit by name.
         parameters: Start, unit and bounds by name.
@@ -185,7 +199,8 @@ def simulator(
         name: What the rig is called; the name of ``f`` when absent.
         horizon: Length of the simulated windows by which it is scored, s; taken from the recording when
             absent.
-        kind: ``"rates"`` where ``f`` gives the rates of the states, ``"step"`` where it makes a step.
+        kind: ``"rates"`` where ``f`` gives the rates of the states, ``"step"`` where it makes a step,
+            ``"rollout"`` where it simulates a whole input.
 
     Returns:
         The simulator: :func:`labhil.fit`, :func:`labhil.diagnose`, :func:`labhil.model` and
@@ -230,13 +245,15 @@ def simulator(
     if kind not in KINDS:
         raise UsageError(f"simulator {called!r}: kind: expected {' or '.join(KINDS)}, found {kind!r}")
     made = Simulator(
-        f if kind == RATES else _rates_of_step(f),
+        f,
         called, dict(states), dict(inputs), measured, quantities, position, given[position], horizon,
     )  # fmt: skip
     if kind == STEP:
-        made = replace(made, stepped=PythonStep(f, made.records))
-    tried(made, SAME if kind == RATES else SAME_OF_STEPS)
-    declare(made, () if is_damped(made, 0.0 if kind == RATES else ROUNDED) else UNDAMPED)
+        made = replace(made, f=_rates_of_step(f), stepped=PythonStep(f, made.records))
+    elif kind == ROLLOUT:
+        made = _rolled_out(made, f)
+    tried(made, {RATES: SAME, STEP: SAME_OF_STEPS, ROLLOUT: SAME_OF_SOLVERS}[kind])
+    declare(made, () if is_damped(made, {RATES: 0.0, STEP: ROUNDED, ROLLOUT: SOLVED}[kind]) else UNDAMPED)
     return made
 
 
@@ -247,6 +264,19 @@ def _rates_of_step(step: StepFunction) -> RightHandSide:
         return rates_of(step, x, u, p)
 
     return rates
+
+
+def _rolled_out(made: Simulator, f: Any) -> Simulator:
+    """With a function that simulates a whole input: its rates are those of short rollouts."""
+    stepped = PythonRollout(f, made.name, made.records)
+
+    def rates(t: float, x: Any, u: Any, p: Any) -> Sequence[float]:
+        return stepped.rates(list(p), list(x), float(u[0]))
+
+    with_rates = replace(made, f=rates, stepped=stepped)
+    called(with_rates)
+    stepped.settle([quantity.start for quantity in made.parameters.values()] or [0.0])
+    return with_rates
 
 
 def declare(made: Simulator, baseline: tuple[str, ...]) -> None:
@@ -297,6 +327,12 @@ def _check_coordinate(
                 f"simulator {called!r}: coordinate {what}: unknown name {name!r}{suggestion(name, known)}; "
                 f"known: {', '.join(known)}"
             )
+    if coordinate.inertia and not quantities[coordinate.inertia].bounds[0] > 0.0:
+        quantity = quantities[coordinate.inertia]
+        raise UsageError(
+            f"simulator {called!r}: {coordinate.inertia}: expected an inertia above 0, as is its lower "
+            f"bound; found a start of {quantity.start:g} and a lower bound of {quantity.bounds[0]:g}"
+        )
     if bool(coordinate.like) == bool(coordinate.inertia):
         raise UsageError(
             f"simulator {called!r}: coordinate: expected either `like` (an input that a force acts like) or "

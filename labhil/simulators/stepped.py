@@ -10,7 +10,7 @@ import numpy as np
 
 from labhil.physics.model import Record, Windows
 from labhil.signals import FloatArray
-from labhil.simulators.tables import Ask
+from labhil.simulators.tables import NEGLIGIBLE, Ask
 
 Nodes = tuple[FloatArray, FloatArray]
 """Times and values (m,) of an input that is straight in between; it jumps where a time is there twice."""
@@ -21,12 +21,13 @@ class Held:
     """What of a simulator is no smooth acceleration, and is solved apart from it.
 
     ``stops`` are the ends of its way, ``clip`` what its input is clipped to, ``delay`` (s) by how much that
-    acts late.
+    acts late. ``rough`` is the share of its acceleration below which its own solver is not to be believed.
     """
 
     stops: tuple[float, float] = (-np.inf, np.inf)
     clip: tuple[float, float] = (-np.inf, np.inf)
     delay: float = 0.0
+    rough: float = NEGLIGIBLE
 
 
 class Stepped(Protocol):

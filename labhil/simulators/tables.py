@@ -80,8 +80,8 @@ class Shape:
     velocities: int
 
     @classmethod
-    def of(cls, ask: Ask, reach: Reach, name: str) -> Shape:
-        """Look at a few places; UsageError where the acceleration is not smooth."""
+    def of(cls, ask: Ask, reach: Reach, name: str, rough: float = NEGLIGIBLE) -> Shape:
+        """Look at a few places, and leave out powers below ``rough``; UsageError where it is not smooth."""
         x = np.linspace(reach.x_low, reach.x_high, PROBED)
         found = _asked(ask, x, reach, MOST_INPUTS, MOST_VELOCITIES)
         size = float(np.max(np.abs(found))) or 1.0
@@ -94,7 +94,7 @@ class Shape:
                     "with a corner or a jump; leave dry friction, dead zones and limits to the effects that "
                     "are offered (`labhil terms`)"
                 )
-        return cls(_needed(by_input), _needed(by_velocity))
+        return cls(_needed(by_input, rough), _needed(by_velocity, rough))
 
 
 def table_of(ask: Ask, reach: Reach, shape: Shape, clip: tuple[float, float]) -> Table:
@@ -153,6 +153,6 @@ def _strengths(found: FloatArray, axis: int, size: float) -> FloatArray:
     return np.asarray(np.max(np.abs(matrix @ along.reshape(count, -1)), axis=1) / size)
 
 
-def _needed(strengths: FloatArray) -> int:
-    counted = np.flatnonzero(strengths > NEGLIGIBLE)
+def _needed(strengths: FloatArray, rough: float) -> int:
+    counted = np.flatnonzero(strengths > rough)
     return int(counted[-1]) + 1 if len(counted) else 1

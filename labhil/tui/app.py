@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import signal
 import threading
-import time
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, ClassVar
@@ -30,12 +29,9 @@ from textual.widgets import (
     TabPane,
 )
 
-from labhil.bus.latch import Latch
-from labhil.campaign.studies.jobs import Jobs
-from labhil.errors import LabhilError
-from labhil.service.emergency import Outcome
+from labhil.tui.bar import bar_text, question_before_leaving
 from labhil.tui.devices import DevicesPane
-from labhil.tui.dialogs import Confirm, Tell
+from labhil.tui.dialogs import Confirm
 from labhil.tui.experiment import ExperimentPane
 from labhil.tui.lab import Lab
 from labhil.tui.live import LivePane
@@ -45,10 +41,10 @@ from labhil.tui.palette import TABS, Palette, commands
 from labhil.tui.recordings import RecordingsPane
 from labhil.tui.results import ResultsPane
 from labhil.tui.runner import Runner
-from labhil.tui.shelf import Shelf
-from labhil.tui.stop import StopButton, stop_note
+from labhil.tui.shelf_reader import ShelfReader
+from labhil.tui.stop import EmergencyStop, StopButton
+from labhil.tui.studies import Studies, has_result
 from labhil.tui.themes import DARK, LIGHT
-from labhil.tui.words import RUN_STATES
 
 FRAME_INTERVAL = 0.1
 """Plots are drawn at most ten times a second, see ``Pace``."""
@@ -93,12 +89,10 @@ class LabApp(App[None]):
         super().__init__()
         self.folder, self.lab, self._first_tab = folder, lab, tab
         self.runner = Runner(folder, lambda line: self.post_message(RunSaid(line)))
-        self.jobs = Jobs(lambda number, line: self.post_message(StudySaid(number, line)), time.monotonic)
-        self.shelf = Shelf(folder)
-        self.stopped: Latch | None = None
-        self.outcome: Outcome | None = None
+        self.studies = Studies(self)
+        self._shelf = ShelfReader(self, folder)
+        self.emergency = EmergencyStop(self, lab, self._show_stop, self._log_run)
         self.leaving = ""
-        self._reading = threading.Lock()
         self._pace = Pace()
         self._bar = Text()
         self._panes: tuple[TabPane, ...] = ()
@@ -123,7 +117,7 @@ class LabApp(App[None]):
             with TabPane("4 Recordings", id="recordings"):
                 yield RecordingsPane(self.folder)
             with TabPane("5 Results", id="results"):
-                yield ResultsPane(self.folder, self.jobs)
+                yield ResultsPane(self.folder, self.studies.jobs)
         yield Footer(show_command_palette=False)
 
     def on_mount(self) -> None:
@@ -132,7 +126,7 @@ class LabApp(App[None]):
         self.set_interval(FRAME_INTERVAL, self._draw_plots)
         self.set_interval(FACTS_INTERVAL, self._show_facts)
         self.set_interval(FILES_INTERVAL, self.look_at_files)
-        self._look_at_shelf()  # before anybody asks: reading takes a while
+        self._shelf.look()  # before anybody asks: reading takes a while
         self._show_facts()
         if threading.current_thread() is threading.main_thread():
             loop = asyncio.get_running_loop()
@@ -147,7 +141,7 @@ class LabApp(App[None]):
     def close_everything(self) -> None:
         """End the run, and all work. Safe twice; a run that nobody asked to stop has failed."""
         self.runner.close()
-        self.jobs.close()
+        self.studies.jobs.close()
 
     def _end_by_signal(self, number: int) -> None:
         self.runner.ask("stop", f"the terminal UI was ended by {signal.Signals(number).name}")
@@ -193,17 +187,12 @@ class LabApp(App[None]):
         if self.standing and self.tab == "live" and len(self.screen_stack) == 1 and self._pace.due():
             self.base.query_one(LivePane).draw()
 
-    def _end_unseen_run(self) -> None:
-        """End the run of this screen where the screen no longer sees what its devices do."""
-        blind = self.lab.failure() if self.runner.active and self.runner.state != "aborting" else ""
-        if blind:
-            self.runner.ask("abort", f"the terminal UI no longer sees the devices: {blind}"[:200])
-
     def _show_facts(self) -> None:
-        self._end_unseen_run()
+        if self.runner.active:
+            self.runner.end_unseen(self.lab.failure())
         if not self.standing:
             return
-        self._look_at_latch()
+        self.emergency.refresh()
         self._show_bar()
         tab = self.tab
         if tab == "devices":
@@ -216,19 +205,7 @@ class LabApp(App[None]):
             self.base.query_one(ResultsPane).refresh_view()
 
     def _show_bar(self) -> None:
-        colours = self.theme_variables
-        line = Text(no_wrap=True, overflow="ellipsis")
-        runner = self.runner
-        if runner.state != "idle":
-            line.append_text(RUN_STATES[runner.state].text(colours))
-            line.append(f" {runner.name} ")
-            if runner.duration and runner.active:
-                line.append(f"{runner.elapsed:.0f} of {runner.duration:.0f} s ", style="bold")
-        for job in self.jobs.at_work:
-            line.append(f" … {job.title}", style=colours["accent"])
-        if not line.plain:
-            place = self.folder if self.folder.name else self.folder.absolute()
-            line.append(str(place), style=colours["muted"])
+        line = bar_text(self.folder, self.runner, self.studies.at_work, self.theme_variables)
         if line != self._bar:
             self._bar = line
             self.base.query_one("#bar-run", Static).update(line, layout=False)
@@ -238,22 +215,11 @@ class LabApp(App[None]):
         if not self.standing:
             return
         if self.tab == "recordings":
-            self._look_at_shelf()
+            self._shelf.look()
         elif self.tab == "experiment":
             self.base.query_one(ExperimentPane).refresh_list()
         elif self.tab == "results":
             self.base.query_one(ResultsPane).refresh_list()
-
-    def _look_at_shelf(self) -> None:
-        if self._reading.acquire(blocking=False):
-            self.run_worker(self._read_shelf, thread=True, group="shelf", exit_on_error=False)
-
-    def _read_shelf(self) -> None:
-        try:
-            for recordings in self.shelf.look():
-                self.post_message(ShelfRead(recordings))
-        finally:
-            self._reading.release()
 
     def on_shelf_read(self, message: ShelfRead) -> None:
         """The folder as far as it is read."""
@@ -293,7 +259,7 @@ class LabApp(App[None]):
 
     def on_start_wanted(self, message: StartWanted) -> None:
         """Start a run; what moves real devices is asked for once more."""
-        if self.stopped is not None:
+        if self.emergency.latch is not None:
             self.notify("The emergency stop is on: F9 releases it.", severity="error")
             return
         pane = self.base.query_one(ExperimentPane)
@@ -310,7 +276,7 @@ class LabApp(App[None]):
         self.push_screen(Confirm(question, "Start", "Not yet", danger=True), go)
 
     def _start(self, path: str) -> None:
-        if self.runner.active or self.stopped is not None:
+        if self.runner.active or self.emergency.latch is not None:
             return
         pane = self.base.query_one(ExperimentPane)
         name = pane.plan.experiment.experiment.name if pane.plan is not None else Path(path).stem
@@ -339,96 +305,52 @@ class LabApp(App[None]):
 
     def on_study_wanted(self, message: StudyWanted) -> None:
         """Start a fit, a diagnosis, …; show it where results are."""
-        job = self.jobs.start(message.task)
-        if job.task.kind not in ("export", "verify"):
+        if self.studies.start(message):
             self.action_tab("results")
-        self.notify(f"{job.title}: at work", timeout=2)
         self.base.query_one(ResultsPane).refresh_list()
 
-    async def on_study_said(self, message: StudySaid) -> None:
+    def on_study_said(self, message: StudySaid) -> None:
         """Follow a study."""
-        was = self.jobs.all[message.number].state
-        job = self.jobs.take(message.number, message.line)
+        job, is_new_state = self.studies.follow(message)
         if not self.standing:
             return
         results = self.base.query_one(ResultsPane)
-        if job.state != was:
-            self._tell_end(job)
+        if is_new_state:
+            self.studies.announce(job)
             results.refresh_list()
             self.look_at_files()
-            if job.state == "done" and job.task.kind in ("fit", "diagnose"):
+            if has_result(job):
                 results.show_file(Path(job.done))
         elif self.tab == "results":
             results.refresh_view()
-
-    def _tell_end(self, job: Any) -> None:
-        if job.state == "failed":
-            self.notify(job.said, title=job.title, severity="error", timeout=10)
-        elif job.task.kind == "verify":
-            self.push_screen(Tell(job.title, str(job.done)))
-        elif job.state == "done":
-            self.notify("done", title=job.title)
 
     # the emergency stop
 
     def action_stop_all(self) -> None:
         """Bring every device in reach to its safe state, and hold all runs until it is released."""
-        self.outcome = None
-        self.run_worker(self._stop_devices, thread=True, group="stop", exit_on_error=False)
-
-    def _stop_devices(self) -> None:
-        outcome = self.lab.stop_all("emergency stop in the terminal UI")
-        self.call_later(self._take_outcome, outcome)
-
-    def _take_outcome(self, outcome: Outcome) -> None:
-        self.outcome = outcome
-        if not self.standing:
-            return
-        log = self.base.query_one(ExperimentPane)
-        for name, state in outcome.answered.items():
-            log.log_line("stop all", f"in its safe state, {state}", name)
-        for name, why in outcome.failed.items():
-            log.log_line("stop all", f"did not stop properly: {why}", name)
-        for name in outcome.silent:
-            log.log_line("stop all", "NO ANSWER: switch its power off", name)
-        self._look_at_latch(again=True)
-
-    def _look_at_latch(self, *, again: bool = False) -> None:
-        """Show the emergency stop, whoever pressed it."""
-        standing = self.lab.latch
-        if standing == self.stopped and not again:
-            return
-        self.stopped = standing
-        note = self.base.query_one("#stop-note", Static)
-        note.display = standing is not None
-        if standing is None:
-            self.outcome = None
-        else:
-            note.update(stop_note(standing, self.outcome))
-        self.refresh_bindings()
+        self.emergency.press()
 
     def action_release(self) -> None:
-        """Allow runs again, once somebody has said so."""
+        """Allow runs again, once somebody has confirmed it."""
+        self.emergency.ask_release()
 
-        def go(yes: bool | None) -> None:
-            if yes:
-                self.run_worker(self._release, thread=True, group="stop", exit_on_error=False)
+    def _log_run(self, kind: str, text: str, device: str = "") -> None:
+        if self.standing:
+            self.base.query_one(ExperimentPane).log_line(kind, text, device)
 
-        question = "Release the emergency stop?\n\nNothing moves by that; devices may be commanded again."
-        self.push_screen(Confirm(question, "Release", "Keep it"), go)
-
-    def _release(self) -> None:
-        try:
-            self.lab.release()
-        except LabhilError as error:
-            self.call_later(self.notify, str(error), severity="error")
-        self.call_later(self.base.query_one(ExperimentPane).log_line, "released", "runs may be started again")
-        self.call_later(self._look_at_latch)
+    def _show_stop(self) -> bool:
+        if not self.standing:
+            return False
+        note = self.base.query_one("#stop-note", Static)
+        note.display = self.emergency.latch is not None
+        note.update(self.emergency.note())
+        self.refresh_bindings()
+        return True
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """There is something to release only after a stop."""
         if action == "release":
-            return self.stopped is not None and len(self.screen_stack) == 1
+            return self.emergency.latch is not None and len(self.screen_stack) == 1
         return True
 
     # leaving
@@ -438,14 +360,8 @@ class LabApp(App[None]):
         if self.leaving:
             self.exit()
             return
-        if self.runner.active:
-            question = (
-                "A run is on.\n\nStop it and quit? Devices go to their safe state, the recording is kept."
-            )
-        elif self.jobs.at_work:
-            titles = "\n  ".join(job.title for job in self.jobs.at_work)
-            question = f"Still at work:\n\n  {titles}\n\nCancel and quit?"
-        else:
+        question = question_before_leaving(self.runner, self.studies.at_work)
+        if not question:
             self.exit()
             return
         if isinstance(self.screen, Confirm):

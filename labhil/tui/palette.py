@@ -37,7 +37,7 @@ class Palette(CommandPalette):
 def commands(app: LabApp, pane: ExperimentPane) -> Iterator[SystemCommand]:
     """What can be done now."""
     yield SystemCommand("lab: stop all devices", "Emergency stop (F12)", app.action_stop_all)
-    if app.stopped is not None:
+    if app.emergency.latch is not None:
         yield SystemCommand(
             "lab: release the emergency stop", "Runs may be started again", app.action_release
         )
@@ -50,8 +50,10 @@ def commands(app: LabApp, pane: ExperimentPane) -> Iterator[SystemCommand]:
     for number, name in enumerate(TABS, start=1):
         if name != app.tab:
             yield SystemCommand(f"show: {name}", f"Tab {number}", partial(app.action_tab, name))
-    for job in app.jobs.at_work:
-        yield SystemCommand(f"cancel: {job.title}", "Files stay as they were", partial(app.jobs.cancel, job))
+    for job in app.studies.jobs.at_work:
+        yield SystemCommand(
+            f"cancel: {job.title}", "Files stay as they were", partial(app.studies.jobs.cancel, job)
+        )
     other = "light" if app.theme == DARK.name else "dark"
     yield SystemCommand(f"layout: {other} colours", "Change the theme", app.action_toggle_theme)
     yield SystemCommand("help: keys", "All keys of this screen, or put them away", app.action_keys)

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
 from rich.segment import Segment
 from rich.style import Style
 from rich.text import Text
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Vertical
-from textual.events import MouseEvent, MouseMove, MouseScrollDown, MouseScrollUp, Resize
+from textual.events import Click, MouseEvent, MouseMove, MouseScrollDown, MouseScrollUp, Resize
 from textual.geometry import Region
+from textual.message import Message
 from textual.strip import Strip
 from textual.widget import Widget
 from textual.widgets import Static
@@ -43,6 +46,15 @@ class Plot(Widget, can_focus=True):
         Binding("right", "move(1, 0)", "Right", id="plot.right", show=False),
         Binding("up", "move(0, 1)", "Up", id="plot.up", show=False),
         Binding("down", "move(0, -1)", "Down", id="plot.down", show=False),
+        Binding("shift+left", "cursor(-1)", "Cursor left", id="plot.cursor.left", show=False),
+        Binding(
+            "shift+right",
+            "cursor(1)",
+            "Cursor",
+            id="plot.cursor.right",
+            key_display="shift →",
+            tooltip="Read the values there; shift+left moves it back",
+        ),
         Binding("r", "whole", "Whole", id="plot.whole", tooltip="Undo zooming and moving"),
     ]
 
@@ -52,16 +64,25 @@ class Plot(Widget, can_focus=True):
         self._whole: View = ((0.0, 1.0), (-1.0, 1.0))
         self._seen = self._whole
         self._lines: list[Strip] = []
+        self.cursor: float | None = None
+        """Where on x the values are read, None for nowhere."""
+
+    @dataclass
+    class CursorMoved(Message):
+        """The values are read elsewhere."""
+
+        x: float | None
 
     @property
     def view(self) -> View:
         """The limits of x and of y that are shown."""
         return self._seen
 
-    def show(self, curves: Sequence[Curve], x: Limits, y: Limits) -> None:
-        """Draw these between these limits."""
+    def show(self, curves: Sequence[Curve], x: Limits, y: Limits, *, keep_view: bool = False) -> None:
+        """Draw these between these limits, or with ``keep_view`` between those that were zoomed to."""
+        is_zoomed = self._seen != self._whole
         self._curves, self._whole = tuple(curves), (_spread(x), _spread(y))
-        self._look_at(self._whole)
+        self._look_at(self._seen if keep_view and is_zoomed else self._whole)
 
     def notify_style_update(self) -> None:
         """Draw anew, in the colours of another theme."""
@@ -101,12 +122,16 @@ class Plot(Widget, can_focus=True):
         pens = [base + Style(color=known.get(curve.colour, "#888888")) for curve in self._curves]
         raster = drawn(self._curves, *self._seen, columns, rows)
         across, beside = self._ticks_of_x(columns), self._ticks_of_y(rows)
-        margin = Segment(" " * (MARGIN - 1), tick)
+        margin, cursor = Segment(" " * (MARGIN - 1), tick), self._cursor_column(columns)
         lines = [Strip([margin, Segment(" " + _edge("┏", "━", "┻", "┓", columns, across), axis)])]
         for row in range(rows):
             label, left, right = (beside[row], "┫", "┣") if row in beside else ("", "┃", "┃")
             cells = [Segment(text, pens[owner] if owner >= 0 else base) for text, owner in raster.runs(row)]
             head = [Segment(label.rjust(MARGIN - 1)[: MARGIN - 1], tick), Segment(f" {left}", axis)]
+            if cursor is not None:
+                whole = Strip(cells)
+                mark = Strip([Segment("│", tick)])
+                cells = list(Strip.join([whole.crop(0, cursor), mark, whole.crop(cursor + 1)]))
             lines.append(Strip([*head, *cells, Segment(right, axis)]))
         lines.append(Strip([margin, Segment(" " + _edge("┗", "━", "┳", "┛", columns, across), axis)]))
         lines.append(Strip([Segment(_under(across, MARGIN + FRAME + columns), tick)]))
@@ -126,11 +151,38 @@ class Plot(Widget, can_focus=True):
         places = [round((high - tick) / (high - low) * (rows - 1)) for tick in found]
         return dict(zip(places, labels(found), strict=True))
 
+    def _cursor_column(self, columns: int) -> int | None:
+        """The column of the cursor, where it is in view."""
+        (low, high), x = self._seen[0], self.cursor
+        return None if x is None or not low <= x <= high else round((x - low) / (high - low) * (columns - 1))
+
     # looking around
 
     def action_whole(self) -> None:
-        """Show all of it again."""
+        """Show all of it again, without a cursor."""
+        self._put_cursor(None)
         self._look_at(self._whole)
+
+    def action_cursor(self, way: int) -> None:
+        """Move the cursor by a column; the first time it comes in the middle."""
+        columns, (low, high) = self.size.width - MARGIN - FRAME, self._seen[0]
+        column = self._cursor_column(columns)
+        if columns > 1:
+            place = columns // 2 if column is None else min(max(column + way, 0), columns - 1)
+            self._put_cursor(low + (high - low) * place / (columns - 1))
+
+    def on_click(self, event: Click) -> None:
+        """Put the cursor where it was clicked."""
+        columns, (low, high) = self.size.width - MARGIN - FRAME, self._seen[0]
+        place = event.x - MARGIN - 1
+        if columns > 1 and 0 <= place < columns:
+            self._put_cursor(low + (high - low) * place / (columns - 1))
+
+    def _put_cursor(self, x: float | None) -> None:
+        if x != self.cursor:
+            self.cursor = x
+            self.post_message(self.CursorMoved(x))
+            self._look_at(self._seen)
 
     def action_zoom(self, way: int) -> None:
         """Show less, or more, around the middle."""
@@ -199,23 +251,54 @@ class Chart(Vertical):
         self._write()
 
     def show(
-        self, title: str | Text, curves: Sequence[Curve], x: Limits | None = None, y: Limits | None = None
+        self,
+        title: str | Text,
+        curves: Sequence[Curve],
+        x: Limits | None = None,
+        y: Limits | None = None,
+        *,
+        keep_view: bool = False,
     ) -> None:
-        """Draw ``curves``; limits that are None are those of the points."""
+        """Draw ``curves``; limits that are None are those of the points.
+
+        With ``keep_view`` what has been zoomed into stays in view.
+        """
         self._title = Text(title, no_wrap=True, overflow="ellipsis") if isinstance(title, str) else title
         self._curves = tuple(curves)
         span = x or _span([curve.x for curve in curves])
-        self._plot.show(curves, span, y or limits_of([curve.y for curve in curves]))
+        self._plot.show(curves, span, y or limits_of([curve.y for curve in curves]), keep_view=keep_view)
         if self.is_mounted:
             self._write()
 
+    def on_plot_cursor_moved(self, message: Plot.CursorMoved) -> None:
+        """Write the values there."""
+        message.stop()
+        self._write()
+
     def _write(self) -> None:
         known, line = self.app.theme_variables, self._title.copy()
+        x = self._plot.cursor
+        if x is not None:
+            line.append(f" at {x:.4g}:", style="bold")
+            for curve in self._curves:
+                value = _value_at(curve, x)
+                line.append(f"  {curve.pen.value} ", style=known.get(curve.colour, "#888888"))
+                line.append("–" if value is None else f"{value:.4g}".replace("-", "−"), style="bold")
+            self._heading.update(line, layout=False)
+            return
         for curve in self._curves:
             if curve.label:
                 line.append("   ")
                 line.append(f"{curve.pen.value} {curve.label}", style=known.get(curve.colour, "#888888"))
         self._heading.update(line, layout=False)  # it is one line, whatever it says
+
+
+def _value_at(curve: Curve, x: float) -> float | None:
+    """The value of the point nearest to ``x``; None where there is none, or the pen is lifted."""
+    if not len(curve.x):
+        return None
+    value = float(curve.y[int(np.argmin(np.abs(curve.x - x)))])
+    return value if np.isfinite(value) else None
 
 
 def _span(arrays: Sequence[FloatArray]) -> Limits:

@@ -21,6 +21,7 @@ from labhil.campaign.studies.jobs import Job, Jobs
 from labhil.errors import LabhilError
 from labhil.signals import FloatArray
 from labhil.tui.curve import Curve, Pen
+from labhil.tui.overlay import OverlayScreen
 from labhil.tui.plot import Chart
 from labhil.tui.result_text import headline, result_renderable
 from labhil.tui.shelf import ResultFile, results
@@ -47,6 +48,13 @@ class ResultsPane(Vertical):
             "Charts",
             id="result.charts",
             tooltip="Text or charts, where there is no room for both",
+        ),
+        Binding(
+            "o",
+            "overlay",
+            "Overlay",
+            id="result.overlay",
+            tooltip="Switch each term on and off over the measurement",
         ),
         Binding("e", "end", "End now", id="job.end", tooltip="End this work with the best so far"),
         Binding(
@@ -230,11 +238,27 @@ class ResultsPane(Vertical):
         """Only what is at work can be cancelled."""
         if action == "charts":
             return self.screen.has_class("-narrow") and bool(self._files) if self.is_mounted else False
+        if action == "overlay":
+            return self.is_mounted and self._chosen_file() is not None
         if action in ("cancel", "end"):
             job = self._job(self._chosen()) if self.is_mounted else None
             at_work = job is not None and job.state == "at work"
             return at_work and (action == "cancel" or (job is not None and job.task.kind in ENDS_EARLY))
         return True
+
+    def _chosen_file(self) -> Path | None:
+        """The chosen result, where it holds a model."""
+        key = self._chosen()
+        for file in self._files:
+            if key == f"file {file.path} {file.modified}":
+                return None if isinstance(self._parts[file.path, file.modified], str) else file.path
+        return None
+
+    def action_overlay(self) -> None:
+        """Show measurement and model, each term to be switched on and off."""
+        path = self._chosen_file()
+        if path is not None:
+            self.app.push_screen(OverlayScreen(path))
 
     def action_charts(self) -> None:
         """Show the charts in the place of the text, or the text again."""

@@ -49,6 +49,11 @@ class Runner:
         if self._helper is not None:
             self._helper.tell({"do": what, "reason": reason or f"{what} in the terminal UI"})
 
+    def end_unseen(self, failure: str) -> None:
+        """End the run where the screen no longer sees what its devices do; ``failure`` is why, or empty."""
+        if failure and self.active and self.state != "aborting":
+            self.ask("abort", f"the terminal UI no longer sees the devices: {failure}"[:200])
+
     def mark(self, text: str, at_ns: int) -> None:
         """Put a marker into the recording of the run, at ``at_ns`` of the machine's steady clock."""
         if self._helper is not None:

@@ -1,15 +1,20 @@
-"""The emergency stop as it is seen: a button that is always there, and the line that says who is safe."""
+"""The emergency stop of the terminal UI: its button, its red line, and what it does."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 from rich.text import Text
+from textual.app import App
 from textual.events import Click
 from textual.widgets import Static
 
 from labhil.bus.latch import Latch
+from labhil.errors import LabhilError
 from labhil.service.emergency import Outcome
+from labhil.tui.dialogs import Confirm
+from labhil.tui.lab import Lab
 
 
 def stop_note(standing: Latch, outcome: Outcome | None) -> Text:
@@ -36,3 +41,79 @@ class StopButton(Static):
         """Stop everything."""
         event.stop()
         self.app.call_later(self.app.run_action, "stop_all")
+
+
+class EmergencyStop:
+    """Stops every device in reach, follows who has stopped and released them, and releases the stop.
+
+    Devices are asked in a thread, so that the screen goes on; what comes of it is shown in the screen's own.
+
+    Args:
+        app: Runs the threads and shows the question before a release.
+        lab: Reaches the devices, and knows the latch, whoever set it.
+        show: Draws the red line anew, and returns whether there was a screen to draw on.
+        log: Writes a line (kind, text, device) where the run's events stand.
+    """
+
+    def __init__(
+        self, app: App[None], lab: Lab, show: Callable[[], bool], log: Callable[[str, str, str], None]
+    ) -> None:
+        self._app, self._lab, self._show, self._log = app, lab, show, log
+        self.latch: Latch | None = None
+        """The stop that stands, None while runs are allowed."""
+        self.outcome: Outcome | None = None
+        """What the devices have answered to this screen's own stop."""
+        self._is_shown = True
+
+    def press(self) -> None:
+        """Bring every device in reach to its safe state, and hold all runs until it is released."""
+        self.outcome = None
+        self._app.run_worker(self._stop_devices, thread=True, group="stop", exit_on_error=False)
+
+    def ask_release(self) -> None:
+        """Allow runs again, once somebody has confirmed it."""
+
+        def go(yes: bool | None) -> None:
+            if yes:
+                self._app.run_worker(self._release, thread=True, group="stop", exit_on_error=False)
+
+        question = "Release the emergency stop?\n\nNothing moves by that; devices may be commanded again."
+        self._app.push_screen(Confirm(question, "Release", "Keep it"), go)
+
+    def refresh(self) -> None:
+        """Show the stop that stands, whoever pressed it."""
+        latch = self._lab.latch
+        if latch == self.latch and self._is_shown:
+            return
+        self.latch = latch
+        if latch is None:
+            self.outcome = None
+        self._is_shown = self._show()
+
+    def note(self) -> Text:
+        """Return the red line; empty while no stop stands."""
+        return Text() if self.latch is None else stop_note(self.latch, self.outcome)
+
+    def _stop_devices(self) -> None:
+        outcome = self._lab.stop_all("emergency stop in the terminal UI")
+        self._app.call_later(self._take_outcome, outcome)
+
+    def _take_outcome(self, outcome: Outcome) -> None:
+        self.outcome = outcome
+        for name, state in outcome.answered.items():
+            self._log("stop all", f"in its safe state, {state}", name)
+        for name, why in outcome.failed.items():
+            self._log("stop all", f"did not stop properly: {why}", name)
+        for name in outcome.silent:
+            self._log("stop all", "NO ANSWER: switch its power off", name)
+        self._is_shown = False
+        self.refresh()
+
+    def _release(self) -> None:
+        try:
+            self._lab.release()
+        except LabhilError as error:
+            self._app.call_later(self._app.notify, str(error), severity="error")
+            return
+        self._app.call_later(self._log, "released", "runs may be started again", "")
+        self._app.call_later(self.refresh)

@@ -94,6 +94,7 @@ def test_a_smooth_disturbance_takes_the_evidence_from_a_term_that_imitates_it() 
 
 
 @pytest.mark.extended
+@pytest.mark.timeout(600)
 def test_the_terms_of_a_shipped_recording_are_found() -> None:
     material = load_material(
         ROOT / "recordings" / "ball_beam_identify.mcap", test_path=ROOT / "recordings" / "ball_beam_test.mcap"

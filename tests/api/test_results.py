@@ -99,6 +99,11 @@ def test_the_model_of_a_fit_runs_on_another_recording_as_it_was_scored(fit):
     assert longer.horizon == 8.0
     with pytest.raises(UsageError, match="horizon"):
         fit.simulate(TEST, horizon=-1.0)
+    assert set(on_test.window[np.isnan(on_test.simulated["ball_position"])]) == {-1}
+    without = fit.simulate(TEST, without=["coulomb_friction"])
+    assert without.errors["ball_position"].rmse > 3 * on_test.errors["ball_position"].rmse
+    with pytest.raises(lh.errors.UnknownNameError, match=r"term 'coulomb' does not exist \(did you mean"):
+        fit.simulate(TEST, without=["coulomb"])
 
 
 def test_plots_draw_into_given_axes_or_new_ones(fit, dx):

@@ -12,6 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from labhil.errors import RecordingError
+from labhil.recording.contents import ending_of
+from labhil.recording.listing import list_folder
+from labhil.recording.metadata import read_metadata
 from labhil.recording.reader import read_recording
 from labhil.recording.writer import RecordingWriter
 from labhil.signals import Batch, Direction, Signal, Stream
@@ -94,6 +98,51 @@ def names(*arguments: object) -> list[str]:
     done = labhil("list", *arguments, "--json")
     assert done.returncode == 0, done.stderr
     return [Path(entry["path"]).name for entry in json.loads(done.stdout)["files"]]
+
+
+def test_metadata_are_read_from_the_end_whatever_the_samples_are(tmp_path: Path) -> None:
+    whole = read_recording(SHIPPED)
+    path = tmp_path / "long.mcap"
+    data = bytearray(SHIPPED.read_bytes())
+    assert read_metadata(SHIPPED) == {name: dict(table) for name, table in whole.metadata.items()}
+    tenth = len(data) // 10
+    data[4 * tenth : 6 * tenth] = bytes(2 * tenth)
+    path.write_bytes(data)
+    assert not read_recording(path).complete
+    assert read_metadata(path) == read_metadata(SHIPPED)
+    assert ending_of(read_metadata(path)) == "done"
+
+
+def test_metadata_that_are_not_where_the_index_says_are_refused(tmp_path: Path) -> None:
+    data = bytearray(SHIPPED.read_bytes())
+    data[1000 : len(data) // 2] = bytes(len(data) // 2 - 1000)
+    path = tmp_path / "hollow.mcap"
+    path.write_bytes(data)
+    with pytest.raises(RecordingError, match="found no index of its metadata"):
+        read_metadata(path)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.9, 0.999])
+def test_a_file_without_an_end_has_no_metadata_to_rely_on(tmp_path: Path, share: float) -> None:
+    data = SHIPPED.read_bytes()
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(RecordingError, match=r"cut.mcap: expected a finished recording"):
+        read_metadata(path)
+
+
+def test_list_shows_a_verification_with_its_verdict(tmp_path: Path) -> None:
+    told = {
+        "schema": "labhil.verification/1",
+        "recordings": [{"path": "run.mcap", "rig": "dc_motor"}],
+        "model": "fit.json",
+        "rig": "dc_motor",
+        "verdict": "contradicted",
+    }
+    (tmp_path / "run.verification.json").write_text(json.dumps(told))
+    (entry,) = list_folder([tmp_path])
+    assert (entry.kind, entry.status, entry.rig) == ("verification", "contradicted", "dc_motor")
+    assert entry.summary == "run.mcap"
 
 
 def test_list_finds_by_tag_rig_time_and_text(tmp_path: Path) -> None:

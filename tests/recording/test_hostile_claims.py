@@ -26,7 +26,8 @@ from labhil.recording.formats import apart
 from labhil.recording.recover import recover
 from labhil.recording.tables import import_table
 from labhil.report.html.report import report_page
-from labhil.rig import Table, parse_rig
+from labhil.rig import parse_rig
+from labhil.rig_sections import Table
 from labhil.signals import Direction, Signal, Stream
 from labhil.terminal import printable, printable_json, printable_name, terminal
 

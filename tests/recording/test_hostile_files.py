@@ -1,5 +1,6 @@
 """Files that are damaged, or made to do harm: each is read, or refused with an error of ours, and soon."""
 
+import json
 import random
 import sys
 from io import BytesIO
@@ -16,8 +17,9 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 from scipy.io import savemat
 
+from labhil.analysis.results import accepted_of
 from labhil.documents import DocumentError, parse_json, parse_toml
-from labhil.errors import LabhilError
+from labhil.errors import LabhilError, ModelFileError
 from labhil.recording import RecordingWriter, read_recording
 from labhil.recording.recover import recover
 from labhil.recording.tables import import_table
@@ -276,3 +278,22 @@ def test_documents_with_a_number_of_too_many_digits_are_refused():
             parse(text)
     assert parse_json('{"a": [[1], {"b": null}]}') == {"a": [[1], {"b": None}]}
     assert parse_json("[NaN]", constant=lambda name: None) == [None]
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        ({"window": 10**400}, "window"),
+        ({"parameters": [{"name": "a", "value": 10**400}]}, "parameters"),
+        ({"covariance": [[10**400]]}, "covariance"),
+        ({"train": {"per_channel": 7}}, "train.per_channel"),
+    ],
+)
+def test_a_model_file_with_a_value_that_no_model_can_have_is_refused(tmp_path, change, field):
+    whole = {"schema": "labhil.fit/1", "terms": [], "parameters": [{"name": "a", "value": 1.0}]}
+    path = tmp_path / "fit.json"
+    path.write_text(json.dumps(whole))
+    assert accepted_of(path).values == {"a": 1.0}
+    path.write_text(json.dumps({**whole, **change}))
+    with pytest.raises(ModelFileError, match=f"fit.json: {field}: expected"):
+        accepted_of(path)

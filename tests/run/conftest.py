@@ -18,7 +18,7 @@ from labhil.bus.session import Bus, open_bus
 from labhil.bus.subscribe import subscribe
 from labhil.experiment.experiment import TwinSection
 from labhil.experiment.twins import start_twin
-from labhil.rig import Limit
+from labhil.rig_sections import Limit
 from labhil.service.hosts import ConnectedDevice, HostProcess
 from labhil.service.messages import HostConfig, Setpoint
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from labhil.errors import BusError, CommandRefusedError, ConnectError, DeviceResetError, DeviceSilentError
-from labhil.rig import Limit
+from labhil.rig_sections import Limit
 from labhil.service.hosts import HostProcess
 from labhil.service.messages import HostConfig
 

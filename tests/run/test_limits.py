@@ -5,7 +5,7 @@ import pytest
 
 from labhil.errors import CommandRefusedError
 from labhil.kinds import BALL_BEAM
-from labhil.rig import Limit
+from labhil.rig_sections import Limit
 from labhil.service.lease import DURATION, Lease
 from labhil.service.limits import CommandLimits, SampleLimits
 from labhil.service.messages import HostConfig, Setpoint

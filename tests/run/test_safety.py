@@ -26,7 +26,8 @@ from labhil.experiment.experiment import TwinSection, parse_experiment
 from labhil.experiment.run import Progress, RunResult, run_experiment
 from labhil.experiment.twins import start_twin
 from labhil.recording.reader import Recording, read_recording
-from labhil.rig import Interlock, Limit, parse_rig
+from labhil.rig import parse_rig
+from labhil.rig_sections import Interlock, Limit
 from labhil.service.emergency import press_everywhere, press_on, release_everywhere
 from labhil.service.interlocks import Interlocks
 from labhil.service.limits import SampleLimits

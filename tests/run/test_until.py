@@ -91,7 +91,7 @@ def test_a_signal_that_is_not_there_is_named() -> None:
     ("old", "new", "message"),
     [
         ("speed > 2", "sped > 2", r"steps.0.until: signal 'sped' does not exist \(did you mean 'speed'"),
-        ("speed > 2", "speed = 2", r"steps.0: until: expected a condition like `speed < 0.1`"),
+        ("speed > 2", "speed = 2", r"steps.0.until: expected a condition like `speed < 0.1`"),
         ("duration = 1.0", "duration = 1.0\nat = 60.0", ""),
         (
             '[[steps]]\ndevice = "bench"\nsignal = "voltage"\nexcitation = "hold"\nlevel = -1',

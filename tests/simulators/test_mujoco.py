@@ -133,7 +133,10 @@ def test_what_does_not_fit_is_named_with_what_the_file_has(
         ('mujoco = "rad.xml"', "model.mujoco: expected the MuJoCo file .*rad.xml, found none"),
         ('mujoko = "rod.xml"', "model.mujoko: unknown key .did you mean 'mujoco'"),
         ('mujoco = "rod.xml"\npython = "bench.py:rod"', "give either python"),
-        ('python = "bench.py:rod"\ninputs = { torque = "motor" }', "inputs and outputs are for mujoco"),
+        (
+            'python = "bench.py:rod"\ninputs = { torque = "motor" }',
+            "inputs and outputs are for mujoco and f",
+        ),
     ],
 )
 def test_a_rig_file_says_what_is_wrong_with_its_model(tmp_path: Path, text: str, expected: str) -> None:
@@ -234,7 +237,7 @@ def test_a_step_with_a_jump_is_refused(tmp_path: Path) -> None:
     run = lh.read(recorded(bench(tmp_path), seed=5, seconds=4.0))
     with pytest.raises(UsageError, match="smooth in its velocity"):
         lh.fit(run, stepped(rubbing))
-    with pytest.raises(UsageError, match="kind: expected rates or step"):
+    with pytest.raises(UsageError, match="kind: expected rates or step or rollout"):
         lh.simulator(
             step, kind="stride", name="s", states={"a": "1", "b": "1"}, inputs={"u": "1"}, parameters={}
         )  # type: ignore[arg-type]

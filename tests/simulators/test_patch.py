@@ -122,6 +122,22 @@ def test_the_repaired_file_keeps_the_promise_and_the_old_one_stays(fitted: Path,
         patch(fitted / "fit.json", fitted / "rod.xml", out, fitted / "rig.toml")
 
 
+def test_a_result_in_python_is_put_into_the_file_by_itself(
+    fitted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the very file that the command writes."""
+    monkeypatch.chdir(fitted)
+    fit = lh.load("fit.json")
+    assert isinstance(fit, lh.Fit)
+    found = fit.patch("rod.xml", tmp_path / "fixed.xml", rig="rig.toml")
+    by_command = patch(Path("fit.json"), Path("rod.xml"), tmp_path / "same.xml", Path("rig.toml"))
+    assert (tmp_path / "fixed.xml").read_bytes() == (tmp_path / "same.xml").read_bytes()
+    assert found.to_dict()["rmse_after"] == by_command.to_dict()["rmse_after"]
+    assert found.left == ()
+    with pytest.raises(UsageError, match="nothing is overwritten"):
+        fit.patch("rod.xml", tmp_path / "fixed.xml", rig="rig.toml")
+
+
 def test_a_result_of_other_values_or_of_another_recording_is_refused(fitted: Path, tmp_path: Path) -> None:
     data = json.loads((fitted / "fit.json").read_text(encoding="utf-8"))
     wrong = fitted / "wrong.json"

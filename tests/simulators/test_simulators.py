@@ -201,6 +201,11 @@ def test_names_are_checked() -> None:
         pendulum(outputs=["angel"])
     with pytest.raises(UsageError, match="inertia"):
         pendulum(coordinates={"angle": lh.Coordinate("rate", inertia="inertja")})
+    with pytest.raises(UsageError, match=r"an inertia above 0, .* found a start of -0\.02"):
+        pendulum(
+            coordinates={"angle": lh.Coordinate("rate", inertia="inertia", force="N·m")},
+            parameters={"inertia": lh.Quantity(-0.02, "kg·m²"), "gravity_torque": 0.5},
+        )
     with pytest.raises(UsageError, match="found that of a rig kind"):
         pendulum(name="ball_beam")
     with pytest.raises(UsageError, match="2 states"):

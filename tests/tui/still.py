@@ -94,6 +94,9 @@ class StillLab:
             ),
         ]
 
+    def failure(self) -> str:
+        return ""
+
     def stop_all(self, reason: str) -> Outcome:
         self.latch = Latch("the terminal UI", reason, NOW_NS * 1e-9)
         return Outcome({"bench": "latched"}, {}, ("spare",))

@@ -67,7 +67,7 @@ def test_the_terms_stand_there_in_the_words_of_the_catalogue(folder: Path, size:
         assert [path.name for path in wanted.tests] != [wanted.recordings[0].name]
         assert len(wanted.tests) == 1
         await pilot.press("escape")
-        assert not app.jobs.all
+        assert not app.studies.jobs.all
 
     on_screen(folder, drive, size)
 
@@ -79,9 +79,9 @@ def test_a_fit_takes_what_was_chosen(folder: Path) -> None:
         listed = dialog.query_one(SelectionList)
         listed.deselect_all()
         await pilot.press("home", "space", "down", "space", "e", "t", "g")
-        await until(pilot, lambda: app.jobs.all and app.jobs.all[0].state != "at work")
-        assert app.jobs.all[0].state == "done", app.jobs.all[0].said
-        found = json.loads(Path(app.jobs.all[0].done).read_text(encoding="utf-8"))
+        await until(pilot, lambda: app.studies.jobs.all and app.studies.jobs.all[0].state != "at work")
+        assert app.studies.jobs.all[0].state == "done", app.studies.jobs.all[0].said
+        found = json.loads(Path(app.studies.jobs.all[0].done).read_text(encoding="utf-8"))
         assert found["terms"] == ["viscous_friction", "coulomb_friction"]
         assert found["estimator"] == "nlse"
         assert [one["role"] for one in found["recordings"]] == ["train", "test"]

@@ -127,7 +127,7 @@ def test_the_emergency_stop_ends_the_run_and_holds_until_it_is_released(bench: P
                 await in_state(pilot, app, "running")
                 await pilot.press("1", "f12")
                 await in_state(pilot, app, "failed")
-                await until(pilot, lambda: app.outcome is not None)
+                await until(pilot, lambda: app.emergency.outcome is not None)
                 assert read_latch() is not None
                 await pilot.press("3", "enter")
                 await pilot.pause(0.5)
@@ -135,7 +135,7 @@ def test_the_emergency_stop_ends_the_run_and_holds_until_it_is_released(bench: P
                 await pilot.press("f9")
                 await until(pilot, lambda: isinstance(app.screen, Confirm))
                 await pilot.press("y")
-                await until(pilot, lambda: app.stopped is None)
+                await until(pilot, lambda: app.emergency.latch is None)
                 assert read_latch() is None
 
     asyncio.run(drive())

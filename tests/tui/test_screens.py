@@ -21,6 +21,7 @@ from labhil.bus.incoming import ReplayMessage
 from labhil.tui import lab as labs
 from labhil.tui.analysis import AnalysisDialog
 from labhil.tui.app import LabApp
+from labhil.tui.overlay import OverlayScreen
 from labhil.tui.themes import DARK, LIGHT
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -76,6 +77,23 @@ async def analysis(pilot: Pilot[None], app: LabApp) -> None:
     await keys("s", "s", "down", "down")(pilot, app)
 
 
+async def overlay(pilot: Pilot[None], app: LabApp) -> None:
+    """Without Coulomb friction, which is simulated in a process of its own, and with the cursor."""
+    await keys("5", "down", "o")(pilot, app)
+    screen = app.screen
+    assert isinstance(screen, OverlayScreen)
+    while screen.shown is None:
+        await pilot.pause(SETTLED)
+    await keys("down", "space")(pilot, app)
+    while screen.shown != {"coulomb_friction"}:
+        await pilot.pause(SETTLED)
+
+
+async def cursor(pilot: Pilot[None], app: LabApp) -> None:
+    await overlay(pilot, app)
+    await keys("tab", "plus", "plus", "shift+right", "shift+right")(pilot, app)
+
+
 async def palette(pilot: Pilot[None], _app: LabApp) -> None:
     """With the first experiment's plan read: what the palette offers depends on it."""
     await pilot.press("3")
@@ -97,6 +115,8 @@ SHOWN: dict[str, Go] = {
     "release": release,
     "verify": keys("4", "v"),
     "analysis": analysis,
+    "overlay": overlay,
+    "cursor": cursor,
     "keys": keys("4", "question_mark"),
     "palette": palette,
 }
@@ -113,6 +133,7 @@ DOCUMENTED = {
     "release-80x24": "release",
     "verify-80x24": "verify",
     "analysis-80x24": "analysis",
+    "overlay-160x50": "overlay",
     "keys-80x24": "keys",
     "palette-80x24": "palette",
 }

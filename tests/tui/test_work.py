@@ -21,6 +21,7 @@ from labhil.recording.reader import read_recording
 from labhil.tui.app import LabApp
 from labhil.tui.dialogs import Choose, Tell
 from labhil.tui.lab import Lab
+from labhil.tui.overlay import OverlayScreen
 
 PATIENCE = 100.0
 LABHIL = (sys.executable, "-P", "-m", "labhil")
@@ -60,13 +61,50 @@ async def recordings(pilot: Pilot[None], app: LabApp) -> None:
     await until(pilot, lambda: app.query_one("#recordings-table", DataTable).row_count == 2)
 
 
+def test_terms_are_switched_over_the_measurement(folder: Path) -> None:
+    async def drive(pilot: Pilot[None], app: LabApp) -> None:
+        await pilot.press("5")
+        await until(pilot, lambda: app.query_one("#results-table", DataTable).row_count == 2)
+        await pilot.press("down", "o")
+        screen = app.screen
+        assert isinstance(screen, OverlayScreen)
+        await until(pilot, lambda: screen.shown == frozenset())
+        errors = screen.query_one("#overlay-errors", Static)
+        whole = str(errors.content)
+        assert whole.startswith("ball_position: RMSE 0.000")
+        await pilot.press("n")
+        await until(pilot, lambda: screen.shown is not None and len(screen.shown) == 7)
+        assert str(errors.content).endswith(f", all terms {whole.removeprefix('ball_position: RMSE ')}")
+        assert str(errors.content) != whole
+        await pilot.press("a")
+        await until(pilot, lambda: screen.shown == frozenset())
+        assert str(errors.content) == whole
+        await pilot.press("escape")
+        assert app.screen is not screen
+
+    work(folder, drive)
+
+
+def test_a_result_without_its_recording_says_what_is_missing(folder: Path) -> None:
+    (folder / "ball_beam_test.mcap").unlink()
+
+    async def drive(pilot: Pilot[None], app: LabApp) -> None:
+        await pilot.press("5")
+        await until(pilot, lambda: app.query_one("#results-table", DataTable).row_count == 2)
+        await pilot.press("o")
+        title = app.screen.query_one("#overlay-title", Static)
+        await until(pilot, lambda: "expected its recording ball_beam_test.mcap" in str(title.content))
+
+    work(folder, drive)
+
+
 @pytest.mark.parametrize("size", [(80, 24), (160, 50)])
 def test_x_writes_the_samples_as_csv_and_says_so(folder: Path, size: tuple[int, int]) -> None:
     async def drive(pilot: Pilot[None], app: LabApp) -> None:
         await recordings(pilot, app)
         await pilot.press("x")
-        await until(pilot, lambda: bool(app.jobs.all) and app.jobs.all[0].state != "at work")
-        assert app.jobs.all[0].state == "done", app.jobs.all[0].said
+        await until(pilot, lambda: bool(app.studies.jobs.all) and app.studies.jobs.all[0].state != "at work")
+        assert app.studies.jobs.all[0].state == "done", app.studies.jobs.all[0].said
         assert [note.title for note in app._notifications if note.message == "done"]
 
     work(folder, drive, size=size)
@@ -86,8 +124,8 @@ def test_an_export_that_fails_is_told_and_leaves_nothing(folder: Path) -> None:
         await recordings(pilot, app)
         (folder / "ball_beam_identify.mcap").unlink()
         await pilot.press("x")
-        await until(pilot, lambda: bool(app.jobs.all) and app.jobs.all[0].state == "failed")
-        assert "ball_beam_identify.mcap" in app.jobs.all[0].said
+        await until(pilot, lambda: bool(app.studies.jobs.all) and app.studies.jobs.all[0].state == "failed")
+        assert "ball_beam_identify.mcap" in app.studies.jobs.all[0].said
 
     work(folder, drive)
     left = [path for path in before if path.name != "ball_beam_identify.mcap"]
@@ -114,7 +152,7 @@ def test_v_holds_a_recording_against_a_result_of_the_folder(folder: Path, size: 
         assert "verify ball_beam_identify" in told
         assert "p = " in told or "p-value" in told, told
         await pilot.press("escape")
-        assert app.jobs.all[0].state == "done"
+        assert app.studies.jobs.all[0].state == "done"
 
     work(folder, drive, size=size)
 
@@ -128,7 +166,7 @@ def test_v_without_any_result_says_what_to_do(folder: Path) -> None:
         await pilot.press("v")
         await until(pilot, lambda: len(app._notifications) > 0)
         assert next(note.message for note in app._notifications).startswith("There is no fit or diagnosis")
-        assert app.jobs.all == []
+        assert app.studies.jobs.all == []
 
     work(folder, drive)
 
@@ -159,10 +197,12 @@ def test_connect_shows_a_bus_that_does_not_announce_itself_and_stops_its_devices
             await pilot.press("2")
             await until(pilot, lambda: len(app.lab.places()) > 0)
             await pilot.press("f12")
-            await until(pilot, lambda: app.outcome is not None and "far" in app.outcome.answered)
+            await until(
+                pilot, lambda: app.emergency.outcome is not None and "far" in app.emergency.outcome.answered
+            )
             await until(pilot, lambda: app.lab.devices()[0][1].state == "latched")
             await pilot.press("f9", "y")
-            await until(pilot, lambda: app.stopped is None)
+            await until(pilot, lambda: app.emergency.latch is None)
 
         work(tmp_path, drive, (endpoint,))
     finally:

@@ -17,7 +17,7 @@ from labhil.experiment.controller import Controller
 from labhil.experiment.experiment import Stabilise, Step, TimedStep
 from labhil.link import ChannelScale, Hello
 from labhil.plugins import load_twin
-from labhil.rig import Limit
+from labhil.rig_sections import Limit
 from labhil.serial_rig.rig import Scaler
 from labhil.service.host import refuse_unwatched
 from labhil.service.messages import HostConfig

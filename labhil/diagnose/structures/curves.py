@@ -12,7 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
-from labhil.diagnose.curve import begun, gauged, glance, refined, settled, with_spline
+from labhil.diagnose.curve import begun, deepened, gauged, glance, refined, with_spline
 from labhil.diagnose.found import FittedCurve
 from labhil.diagnose.judge import Data
 from labhil.diagnose.structures.enumerate import RELEVANCE, Choice, Enumeration, Structure
@@ -82,7 +82,7 @@ class CurveSearch:
                     best = trial
         if best is None:
             return None
-        return replace(best, curved=gauged(settled(best.curved, self.options.finished)))
+        return replace(best, curved=gauged(deepened(best.curved, self.options.finished)))
 
     def _on_part(self, fitted: Fitted, part: MovedPart) -> FittedCurve | None:
         best: FittedCurve | None = None

@@ -118,8 +118,10 @@ def log_odds(model: Model, state: SearchState, term: str) -> float:
     alone = [v for v in own.choice if v.term != term]
     without = own.view.evaluate([tuple(alone)])[0].log_evidence
     carriers = {t for t in best if term in model.terms[t].with_terms}
-    if not carriers and best - {term} in state.refitted:
-        without = state.refitted[best - {term}].log_evidence
+    reduced = state.refitted.get(best - {term})
+    # one with a size at the end of what it can be is no account, and nothing to be held against
+    if not carriers and reduced is not None and np.isfinite(reduced.log_evidence):
+        without = reduced.log_evidence
     return own.log_evidence - without
 
 

@@ -15,10 +15,10 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from labhil.complaints import explain
 from labhil.documents import DocumentError, parse_toml
 from labhil.errors import RigFileError
 from labhil.kinds import JOINTS
-from labhil.rig import explain
 from labhil.signals import FloatArray
 
 PER_LINK = 10

@@ -24,7 +24,7 @@ from labhil.errors import LabhilError, TableError
 from labhil.extras import require
 from labhil.recording.formats.columns import Columns
 from labhil.recording.formats.transfer import HEAD, parse_answer, unpack_columns
-from labhil.rig import Table
+from labhil.rig_sections import Table
 
 START_SECONDS = 60.0
 """How long the process may take until it is ready: it imports numpy, on a machine that may be busy."""

@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from labhil.rig import Table
+from labhil.rig_sections import Table
 from labhil.signals import FloatArray
 
 MINUS = str.maketrans(dict.fromkeys("\u2212\u2013\ufe63\uff0d", "-"))

@@ -24,7 +24,7 @@ from labhil.recording.formats.matlab import read_hdf5, read_mat
 from labhil.recording.formats.parquet import read_parquet
 from labhil.recording.formats.transfer import pack
 from labhil.recording.formats.workbook import read_workbook
-from labhil.rig import Table
+from labhil.rig_sections import Table
 
 IDLE_SECONDS = 60.0
 """Without a request for that long the process ends; the next one costs half a second to start."""

@@ -17,7 +17,7 @@ from labhil.recording.formats.columns import Columns, read_stamps
 from labhil.recording.formats.notation import Notation, is_missing
 from labhil.recording.formats.time_text import Stamps, is_time
 from labhil.recording.units import is_units_line
-from labhil.rig import Table
+from labhil.rig_sections import Table
 from labhil.signals import FloatArray, Hold
 
 DELIMITERS: Mapping[str, str | None] = {"comma": ",", "semicolon": ";", "tab": "\t", "whitespace": None}

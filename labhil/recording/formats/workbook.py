@@ -23,7 +23,7 @@ from labhil.recording.formats.columns import Columns, cell_text, number_of, read
 from labhil.recording.formats.notation import Notation, is_missing
 from labhil.recording.formats.time_text import Stamps, TimeKind
 from labhil.recording.units import is_units_line
-from labhil.rig import Table
+from labhil.rig_sections import Table
 from labhil.signals import FloatArray, Hold, Stream
 
 LARGEST_SHEET = 1_048_575

@@ -1,0 +1,180 @@
+"""What each part of the search by evidence buys. A command, no test:
+
+    python benchmarks/measuring/measure_ablation.py --rigs ball_beam dc_motor --trials 12 --seed 31 -o FILE
+
+Draws trials with concealed effects and as many without, and searches each as it is and with one part taken
+out. Only the search is run: no intervals, no wider search, no scores. A trial is right where all that an
+oracle gains ten nats by is named, and nothing that is not there; where an effect of no list is concealed, a
+curve has to be told.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from labhil.analysis.material import load_material
+from labhil.campaign.trials.answer import Answer
+from labhil.campaign.trials.folder import recording
+from labhil.campaign.trials.judge import SURE_GAIN
+from labhil.campaign.trials.make import Order, make_trials
+from labhil.diagnose.diagnosis import data_of, fit_baseline
+from labhil.diagnose.found import Found
+from labhil.diagnose.structures import disturbance, responses, search
+from labhil.diagnose.structures import enumerate as beam
+from labhil.identify.problem import Problem
+from labhil.physics.model import terms_named
+from measured import tell
+
+Part = tuple[object, str, Any]
+
+AS_IT_IS = "as it is"
+
+
+def _undisturbed(candidates: int, sizes: tuple[float, ...] = ()) -> disturbance.Disturbance:
+    return disturbance.Disturbance(np.zeros(1), np.ones(1))
+
+
+def _noise_as_left(data: Any, fitted: Any) -> tuple[Any, Any]:
+    return data, np.zeros(len(data.sigma))
+
+
+VARIANTS: dict[str, tuple[search.Options, tuple[Part, ...]]] = {
+    AS_IT_IS: (search.Options(), ()),
+    "no disturbance in the likelihood": (
+        search.Options(),
+        ((responses.Disturbance, "grid", staticmethod(_undisturbed)),),
+    ),
+    "noise as differences of samples, white": (
+        search.Options(),
+        ((search, "_in_noise_beside", _noise_as_left),),
+    ),
+    "rounding as independent noise": (
+        search.Options(),
+        ((Problem, "telling", property(lambda problem: np.ones(len(problem.owner)))),),
+    ),
+    "only where a disturbance is possible": (
+        search.Options(),
+        (
+            (search, "EVIDENCES", (beam.with_disturbance,)),
+            (beam, "EVIDENCES", (beam.with_disturbance,)),
+        ),
+    ),
+    "no look at smaller sets": (search.Options(climbed=0), ()),
+    "no relevance at the end": (search.Options(relevance=0.0), ()),
+    "every step gone on from": (search.Options(step=-np.inf), ()),
+    "any number of terms refitted at once": (search.Options(few=99), ()),
+    "shapes not begun anew": (
+        search.Options(),
+        ((search.StructureSearch, "_refit_shapes", lambda self, state, structure: None),),
+    ),
+    "held-out data not asked": (
+        search.Options(),
+        (
+            (search, "borne_out", lambda stage, found: found),
+            (search, "predicts_better", lambda before, after: True),
+        ),
+    ),
+    "short windows only": (search.Options(horizons=(0.375,)), ()),
+    "no curves": (
+        search.Options(),
+        ((search, "_with_curve", lambda data, found, *rest: found),),
+    ),
+}
+"""Each with its options, and what stands in the place of what: of an object, an attribute, by another."""
+
+
+@dataclass
+class Count:
+    """Of the trials of one rig under one variant."""
+
+    right: int = 0
+    trials: int = 0
+    alarms: int = 0
+    nulls: int = 0
+    seconds: float = 0.0
+
+
+@contextmanager
+def without(parts: tuple[Part, ...]) -> Iterator[None]:
+    """Put something else in the place of parts, and them back."""
+    with ExitStack() as stack:
+        for owner, name, other in parts:
+            stack.callback(partial(setattr, owner, name, owner.__dict__[name]))
+            setattr(owner, name, other)
+        yield
+
+
+def searched(folder: Path, name: str, baseline: tuple[str, ...], options: search.Options) -> Found:
+    """What the search finds in one trial."""
+    material = load_material(recording(folder, name, "search"), test_path=recording(folder, name, "test"))
+    data = data_of(material.model, material.learn, material.judge)
+    base = fit_baseline(data, [term.key for term in terms_named(material.model, baseline)])
+    return search.search_structures(data, base, lambda text: None, options)
+
+
+def is_right(found: Found, answer: Answer) -> bool:
+    """Whether all that has to be found is named and nothing else is."""
+    named = {step.terms[0] for step in found.missing}
+    listed = {effect.key for effect in answer.effects if effect.catalogue}
+    sure = {e.key for e in answer.effects if e.catalogue and e.oracle_gain >= SURE_GAIN}
+    hidden = any(not e.catalogue and e.oracle_gain >= SURE_GAIN for e in answer.effects)
+    return sure <= named <= listed and (found.curve is not None) == hidden
+
+
+def opened(path: Path) -> Answer:
+    """The truth that an answer's file holds."""
+    return Answer.from_json(json.loads(path.read_text(encoding="utf-8"))["answer"])
+
+
+def measured(rig: str, trials: int, seed: int, say: Callable[[str], None]) -> dict[str, Any]:
+    """Every variant's counts for one rig."""
+    with tempfile.TemporaryDirectory() as kept:
+        sets = []
+        for sort in ("some", "0"):
+            out, answers = Path(kept) / sort, Path(kept) / f"{sort}-answers"
+            make_trials(Order(rig, trials, sort, out, answers, seed), 1, lambda text: None)
+            sets += [(out, path.stem, opened(path)) for path in sorted(answers.glob("*.json"))]
+        found = {}
+        for variant, (options, parts) in VARIANTS.items():
+            count = Count()
+            for folder, name, answer in sets:
+                began = time.process_time()
+                with without(parts):
+                    got = searched(folder, name, answer.baseline, options)
+                count.seconds += time.process_time() - began
+                if answer.effects:
+                    count.trials += 1
+                    count.right += is_right(got, answer)
+                else:
+                    count.nulls += 1
+                    count.alarms += bool(got.missing or got.curve)
+            say(f"{rig}: {variant}: {count}")
+            found[variant] = {**vars(count), "seconds": round(count.seconds, 1)}
+        return found
+
+
+def main() -> None:
+    """Read the command line and measure."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rigs", nargs="+", default=["ball_beam", "dc_motor"])
+    parser.add_argument("--trials", type=int, default=12, help="with effects, and as many without")
+    parser.add_argument("--seed", type=int, required=True)
+    parser.add_argument("-o", "--out", type=Path)
+    given = parser.parse_args()
+    rigs = {rig: measured(rig, given.trials, given.seed, print) for rig in given.rigs}
+    tell({"seed": given.seed, "trials": given.trials, "rigs": rigs}, given.out)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,65 @@
+"""What is wrong with a file of keys, in one line each: file, field, what was expected, what was found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import PydanticCustomError
+
+from labhil.errors import suggestion
+
+
+def explain(error: ValidationError, path: Path, model: type[BaseModel]) -> str:
+    """Put pydantic's complaints into one line each: file, field, what was expected, what was found."""
+    return "\n".join(f"{path}: {_complaint(item, model)}" for item in error.errors(include_url=False))
+
+
+# pydantic names the branch of a union that it tried; that is no place in a file
+PYDANTIC_BRANCHES = {"str", "int", "float", "list[float]", "constrained-int"}
+
+
+UNKNOWN_KEY = "unknown_key"
+
+
+def unknown_key(key: str, message: str) -> PydanticCustomError:
+    """The error for a validator that knows better than its model which keys belong here."""
+    return PydanticCustomError(UNKNOWN_KEY, "{message}", {"key": key, "message": message})
+
+
+def _complaint(item: Any, model: type[BaseModel]) -> str:
+    places = [str(part) for part in item["loc"] if str(part) not in PYDANTIC_BRANCHES]
+    field = ".".join(places) or "file"
+    if item["type"] == "extra_forbidden":
+        known = fields_at(model, item["loc"][:-1])
+        return f"{field}: unknown key{suggestion(str(item['loc'][-1]), known)}; known: {', '.join(known)}"
+    if item["type"] == "missing":
+        return f"{field}: this key is missing"
+    message = str(item["msg"]).removeprefix("Value error, ")
+    if item["type"] == UNKNOWN_KEY:
+        return f"{'.'.join([*places, str(item['ctx']['key'])])}: {message}"
+    if item["type"] == "value_error":
+        return f"{field}: {message}" if places else message
+    return f"{field}: {message}, found {item['input']!r:.200}"
+
+
+def fields_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
+    """Names of the keys that are allowed at a place in a file, as far as the models tell."""
+    current: type[BaseModel] = model
+    for part in loc:
+        field = current.model_fields.get(str(part))
+        found = _model_within(field.annotation) if field is not None else None
+        if found is not None:
+            current = found
+    return [name for name, field in current.model_fields.items() if not field.exclude]
+
+
+def _model_within(annotation: object) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    for inner in getattr(annotation, "__args__", ()):
+        found = _model_within(inner)
+        if found is not None:
+            return found
+    return None

@@ -1,0 +1,43 @@
+"""Which steps of an experiment may run at the same time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from labhil.experiment.experiment import TimedStep
+
+
+def refuse_overlaps(schedule: Sequence[TimedStep]) -> None:
+    """Raise ValueError where two steps drive one signal at the same time."""
+    for later in schedule:
+        for earlier in schedule[: later.index]:
+            same = (earlier.step.device, earlier.step.signal) == (later.step.device, later.step.signal)
+            if same and earlier.start < later.end and later.start < earlier.end:
+                raise ValueError(
+                    f"steps.{later.index}: {later.step.device}.{later.step.signal} is driven by "
+                    f"steps.{earlier.index} at the same time ({later.start:g} s)"
+                )
+
+
+def refuse_conditions_beside_others(schedule: Sequence[TimedStep], devices: int) -> None:
+    """Raise ValueError for a step with a condition that has others beside it.
+
+    Its begin or end is known only in the run and shifts what follows, which cannot be done for what runs
+    beside it.
+    """
+    for timed in schedule:
+        key = "until" if timed.step.until is not None else "when" if timed.step.when is not None else ""
+        if not key:
+            continue
+        if devices > 1:
+            raise ValueError(
+                f"steps.{timed.index}.{key}: expected an experiment with one device, found {devices}"
+            )
+        for other in schedule:
+            if other is not timed and other.start < timed.end and timed.start < other.end:
+                raise ValueError(
+                    f"steps.{timed.index}.{key}: expected a step that runs alone, found steps.{other.index} "
+                    "at the same time"
+                )

@@ -1,0 +1,11 @@
+"""Names of a simulator's file as names in labhil."""
+
+from __future__ import annotations
+
+import re
+
+
+def identifier(text: str) -> str:
+    """A name of letters, digits and _ that is near to any text."""
+    found = re.sub(r"\W+", "_", text).strip("_") or "mechanism"
+    return found if not found[0].isdigit() else f"_{found}"

@@ -1,0 +1,31 @@
+"""Reads the recordings of the folder beside the screen's own thread, one look at a time."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+from textual.app import App
+
+from labhil.tui.messages import ShelfRead
+from labhil.tui.shelf import Shelf
+
+
+class ShelfReader:
+    """Sends ``app`` a :class:`ShelfRead` as often as more of ``folder`` has been read."""
+
+    def __init__(self, app: App[None], folder: Path) -> None:
+        self._app, self._shelf = app, Shelf(folder)
+        self._reading = threading.Lock()
+
+    def look(self) -> None:
+        """Read the folder anew, unless that is going on already."""
+        if self._reading.acquire(blocking=False):
+            self._app.run_worker(self._read, thread=True, group="shelf", exit_on_error=False)
+
+    def _read(self) -> None:
+        try:
+            for recordings in self._shelf.look():
+                self._app.post_message(ShelfRead(recordings))
+        finally:
+            self._reading.release()
