@@ -48,6 +48,12 @@ class Fitted:
         return float(np.sqrt(self.solution.cost / self.dof))
 
     @property
+    def mean_squares(self) -> FloatArray:
+        """Mean square (c,) of each output's residuals, in units of the noise of the recording."""
+        outputs = self.solution.residuals.reshape(-1, len(self.problem.sigma))
+        return np.asarray(np.sum(outputs**2, axis=0) * outputs.shape[1] / self.dof)
+
+    @property
     def dof(self) -> int:
         """Residuals less what was fitted."""
         fitted = len(self.problem.free) + self.solution.point.states.size

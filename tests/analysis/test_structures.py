@@ -32,8 +32,9 @@ def disturbed(matrix: np.ndarray, modes: np.ndarray, sizes: tuple[float, ...]) -
     for tau in grid.size:
         covariance = np.eye(n) + tau**2 * modes @ modes.T
         log_det = float(np.linalg.slogdet(covariance)[1])
-        views.append(View(matrix.T @ np.linalg.solve(covariance, matrix), -0.5 * log_det))
-    return grams(views, 0, n, n, n, np.log(grid.weight)).with_precisions([(range(1, 2), None)])
+        views.append(View((matrix.T @ np.linalg.solve(covariance, matrix))[None], -0.5 * log_det))
+    acts = np.ones((1, matrix.shape[1]), dtype=bool)
+    return grams(views, 0, acts, n, n, n, np.log(grid.weight)).with_precisions([(range(1, 2), None)])
 
 
 def test_the_evidence_of_one_size_is_its_integral() -> None:

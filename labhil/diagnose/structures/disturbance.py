@@ -82,7 +82,8 @@ def inner_products(
     views = [_view(problem, lin, states, columns, tau * strength) for tau in disturbance.size]
     free = lin.by_states.shape[1] * len(problem.edges)
     left, dof = (max(rows - free, 10.0) for rows in (len(matrix), float(worth.sum())))
-    return grams(views, baseline, len(matrix), left, dof, np.log(disturbance.weight))
+    acts = np.any(matrix.reshape(-1, len(problem.sigma), matrix.shape[1]) != 0.0, axis=0)
+    return grams(views, baseline, acts, len(matrix), left, dof, np.log(disturbance.weight))
 
 
 def _view(
@@ -94,7 +95,8 @@ def _view(
     seen = problem.project(weighted, columns * weight[:, None])
     gram = problem.state_gram(weighted.by_states)
     free = float(np.sum(np.linalg.slogdet(gram + np.eye(gram.shape[-1]))[1])) if states.size else 0.0
-    return View(seen.T @ seen, float(np.sum(np.log(weight))) - 0.5 * free)
+    by_output = seen.reshape(-1, len(problem.sigma), seen.shape[1]).transpose(1, 0, 2)
+    return View(by_output.transpose(0, 2, 1) @ by_output, float(np.sum(np.log(weight))) - 0.5 * free)
 
 
 def whitened(problem: Problem, columns: FloatArray, correlation: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ import numpy as np
 from labhil.diagnose.structures.marginal import Batch, log_evidence
 from labhil.diagnose.structures.responses import Responses, Variant
 from labhil.physics.model import Model
-from labhil.signals import FloatArray
+from labhil.signals import BoolArray, FloatArray
 
 Structure = frozenset[str]
 """Keys of the terms beside the baseline."""
@@ -87,10 +87,17 @@ def without_disturbance(of: Evident) -> float:
 EVIDENCES = (with_disturbance, without_disturbance)
 
 
-def relevance(without: float, remains: float) -> float:
-    """What a term explains over what remains beside it, of the mean squares with and without it."""
-    beyond_noise = remains - KNOWN_NOISE**2
-    return (without - remains) / beyond_noise if beyond_noise > 0.0 else inf
+def relevance(without: FloatArray, remains: FloatArray, acts: BoolArray) -> float:
+    """What a term explains over what remains beside it, in the outputs that it acts on.
+
+    Args:
+        without: mean squares (c,) of the outputs' errors without the term, in noise levels.
+        remains: the same with it.
+        acts: (c,) marks the outputs that the term changes.
+    """
+    beyond_noise = float(np.mean(remains[acts])) - KNOWN_NOISE**2
+    explained = float(np.mean((without - remains)[acts]))
+    return explained / beyond_noise if beyond_noise > 0.0 else inf
 
 
 def candidates(model: Model, present: Sequence[str]) -> list[tuple[str, ...]]:
@@ -125,7 +132,7 @@ class Enumeration:
     baseline: frozenset[str]
     candidates: int
     options: BeamOptions = field(default_factory=BeamOptions)
-    known: dict[frozenset[int], float] = field(default_factory=dict)
+    known: dict[frozenset[int], FloatArray] = field(default_factory=dict)
 
     def evaluate(self, choices: Sequence[Choice]) -> list[Predicted]:
         """Return each structure with its log evidence, prior included, in the order given."""
@@ -147,13 +154,17 @@ class Enumeration:
         terms = [self.model.terms[v.term] for v in choice if v.term in self.model.terms]
         carried = {t for term in terms for t in term.with_terms}
         return {
-            v.term: relevance(self._rest([other for other in choice if other is not v]), remains)
+            v.term: relevance(
+                self._rest([other for other in choice if other is not v]),
+                remains,
+                self.responses.acts(v),
+            )
             for v in choice
             if v.term not in carried
         }
 
-    def _rest(self, choice: Sequence[Variant]) -> float:
-        """Mean square that a structure leaves, as responses predict it; asked for many times over."""
+    def _rest(self, choice: Sequence[Variant]) -> FloatArray:
+        """Mean squares (c,) that a structure leaves, as responses predict it; asked for many times over."""
         key = frozenset(v.first for v in choice)
         if key not in self.known:
             self.known[key] = self.responses.grams.rest([p for v in choice for p in v.places])

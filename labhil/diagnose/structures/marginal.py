@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import log_ndtr
 
-from labhil.signals import FloatArray, IntArray
+from labhil.signals import BoolArray, FloatArray, IntArray
 
 LEAST = 1e-9
 """Share of a Gram matrix's diagonal that is added to it, so that equal columns do no harm."""
@@ -34,7 +34,7 @@ LEAST = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """Inner products (M, M) of columns under one size of the disturbance.
+    """Inner products (c, M, M) of columns, of each output by itself, under one size of the disturbance.
 
     The states of the windows are taken out; ``log_density`` is what does not depend on the structure:
     −½ log|C| − ½ log|SᵀC⁻¹S + I| with the covariance C of noise and disturbance and the states' responses S.
@@ -52,10 +52,14 @@ class Grams:
     disturbance and before the baseline's responses are taken out: it sizes the prior, whose ``precision``
     (m, m) is that of responses of one noise level. ``log_prior`` (T,) is that of τ; ``log_weight`` (T,) has
     in it also what does not depend on the structure. ``samples`` is how many rows there are, ``left`` how
-    many beside states and baseline, and ``dof`` how many of these are independent.
+    many beside states and baseline, and ``dof`` how many of these are independent. ``by_output`` (c, m, m) are
+    the first of ``seen`` of each output by itself, and ``acts`` (c, m) marks the outputs that a response
+    changes.
     """
 
     seen: FloatArray
+    by_output: FloatArray
+    acts: BoolArray
     raw: FloatArray
     precision: FloatArray
     log_weight: FloatArray
@@ -64,13 +68,14 @@ class Grams:
     left: float
     dof: float
 
-    def rest(self, columns: Sequence[int]) -> float:
-        """Mean square that responses at these places leave of the target, by least squares."""
-        every, total = self.seen[0], float(self.seen[0, 0, 0])
+    def rest(self, columns: Sequence[int]) -> FloatArray:
+        """Mean squares (c,) that responses at these places leave of each output, by least squares."""
         own = np.asarray(columns, dtype=np.int64)
-        gram = _lifted(every[np.ix_(own, own)][None])[0]
-        explained = float(every[own, 0] @ np.linalg.solve(gram, every[own, 0])) if len(own) else 0.0
-        return max(total - explained, 0.0) / max(self.left - len(own), 1.0)
+        gram = _lifted(self.seen[0][np.ix_(own, own)][None])[0]
+        sizes = np.linalg.solve(gram, -self.seen[0][own, 0]) if len(own) else np.empty(0)
+        places, factors = np.r_[0, own], np.r_[1.0, sizes]
+        left = np.einsum("i,cij,j->c", factors, self.by_output[:, places[:, None], places], factors)
+        return np.asarray(np.maximum(left, 0.0) * len(left) / max(self.left - len(own), 1.0))
 
     def with_precisions(self, blocks: Sequence[tuple[range, FloatArray | None]]) -> Grams:
         """The same with the prior of each block of responses.
@@ -89,7 +94,13 @@ class Grams:
 
 
 def grams(
-    views: Sequence[View], baseline: int, samples: int, left: float, dof: float, log_prior: FloatArray
+    views: Sequence[View],
+    baseline: int,
+    acts: BoolArray,
+    samples: int,
+    left: float,
+    dof: float,
+    log_prior: FloatArray,
 ) -> Grams:
     """Inner products for all structures.
 
@@ -97,6 +108,7 @@ def grams(
         views: target, the baseline's P responses, and all terms' responses, as each size of the disturbance
             has them; the first one is none.
         baseline: P.
+        acts: (c, M) marks the outputs that a column changes.
         samples: rows that the columns have.
         left: rows that are left beside the states of windows.
         dof: independent ones of these.
@@ -105,21 +117,32 @@ def grams(
     Returns:
         The products of target and terms' responses with one another, under each size.
     """
-    plain = views[0].products
-    kept = np.r_[0, np.arange(1 + baseline, len(plain))]
-    own = np.arange(1, 1 + baseline)
-    seen, logs = [], []
+    kept = np.r_[0, np.arange(1 + baseline, acts.shape[1])]
+    seen, logs, beside = [], [], []
     for view, weight in zip(views, log_prior, strict=True):
-        inner = view.products[np.ix_(own, own)]
-        scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
-        alike = inner / np.outer(scale, scale) + LEAST * np.eye(baseline)
-        across = view.products[np.ix_(own, kept)] / scale[:, None]
-        seen.append(view.products[np.ix_(kept, kept)] - across.T @ np.linalg.solve(alike, across))
+        every = view.products.sum(axis=0)
+        inner = every[1 : 1 + baseline, 1 : 1 + baseline]
+        beside.append(_beside(every, baseline))
+        seen.append(every[kept] @ beside[-1])
         log_det = float(np.linalg.slogdet(inner + np.eye(baseline))[1])
         logs.append(weight + view.log_density - 0.5 * log_det)
-    raw = plain[np.ix_(kept, kept)]
+    plain = views[0].products
+    by_output = np.einsum("ia,cij,jb->cab", beside[0], plain, beside[0], optimize=True)
+    raw = plain.sum(axis=0)[np.ix_(kept, kept)]
     rows = (samples, left - baseline, dof - baseline)
-    return Grams(np.array(seen), raw, np.zeros_like(raw), np.array(logs), log_prior, *rows)
+    return Grams(
+        np.array(seen), by_output, acts[:, kept], raw, np.zeros_like(raw), np.array(logs), log_prior, *rows
+    )
+
+
+def _beside(products: FloatArray, baseline: int) -> FloatArray:
+    """What makes of columns (M) the target and all terms' responses (m) beside the baseline's P, (M, m)."""
+    count, own = len(products), slice(1, 1 + baseline)
+    scale = np.sqrt(np.maximum(np.diag(products)[own], 1e-300))
+    alike = products[own, own] / np.outer(scale, scale) + LEAST * np.eye(baseline)
+    beside = np.eye(count)
+    beside[own] = -np.linalg.solve(alike, products[own] / scale[:, None]) / scale[:, None]
+    return np.delete(beside, np.arange(1, 1 + baseline), axis=1)
 
 
 KAPPA = np.array([0.3, 1.0, 3.0, 10.0, 30.0, 100.0])

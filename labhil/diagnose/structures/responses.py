@@ -21,7 +21,7 @@ from labhil.identify.problem import Linearised, Problem
 from labhil.identify.waves import starts_beside
 from labhil.physics.model import index_of, terms_named
 from labhil.physics.terms import Parameter
-from labhil.signals import FloatArray
+from labhil.signals import BoolArray, FloatArray
 
 WANTED, LARGER = 1.5, 4.5
 """Noise levels of the response by which a size is stepped, and of a second step where that is not
@@ -84,6 +84,10 @@ class Responses:
     fitted: Fitted
     grams: Grams
     variants: Mapping[str, tuple[Variant, ...]]
+
+    def acts(self, variant: Variant) -> BoolArray:
+        """Outputs (c,) that a way of a term to act changes."""
+        return np.asarray(self.grams.acts[:, variant.places].any(axis=1))
 
     def sizes(self, variants: Sequence[Variant], coefficients: FloatArray) -> dict[str, float]:
         """Values of parameters by key that ``coefficients`` of the variants' responses stand for."""

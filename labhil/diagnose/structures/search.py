@@ -145,8 +145,10 @@ class StructureSearch:
         if not state.looked:
             return True
         nearest = max(state.looked, key=lambda s: state.refitted[s].log_evidence)
-        left, remains = (state.refitted[s].fitted.noise ** 2 for s in (nearest, structure))
-        return relevance(left, remains) >= self.options.step
+        left, remains = (state.refitted[s].fitted.mean_squares for s in (nearest, structure))
+        own = state.refitted[structure]
+        new = own.acts(structure - nearest) if structure - nearest else np.ones(len(left), dtype=bool)
+        return relevance(left, remains, new) >= self.options.step
 
     def _look(self, state: SearchState, structure: Structure) -> None:
         """Linearise at a refitted structure, and compare all others there."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,6 +18,7 @@ from labhil.diagnose.structures.enumerate import (
 )
 from labhil.identify.fitted import Fitted
 from labhil.physics.model import Model
+from labhil.signals import BoolArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +31,11 @@ class Refitted:
     choice: Choice
     view: Enumeration
     relevance: Mapping[str, float]
+
+    def acts(self, terms: Collection[str]) -> BoolArray:
+        """Outputs (c,) that some of its terms change."""
+        responses = self.view.responses
+        return np.any([responses.acts(v) for v in self.choice if v.term in terms], axis=0)
 
 
 @dataclass(slots=True)
@@ -72,7 +78,8 @@ class SearchState:
         for term in found:
             reduced = self.refitted.get(structure - {term})
             if reduced is not None:
-                found[term] = relevance(reduced.fitted.noise**2, own.fitted.noise**2)
+                left, remains = reduced.fitted.mean_squares, own.fitted.mean_squares
+                found[term] = relevance(left, remains, own.acts([term]))
         return found
 
     def values_of(self, structure: Structure) -> Mapping[str, float]:
