@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import comb, log
+from math import comb, inf, log
 from typing import Protocol
 
 import numpy as np
@@ -18,7 +18,7 @@ Structure = frozenset[str]
 """Keys of the terms beside the baseline."""
 
 KNOWN_NOISE = 1.1
-"""A noise level is known to some ten per cent: where less remains, as much may be missing unseen."""
+"""RMS in noise levels up to which nothing remains: a noise level is known to some ten per cent."""
 
 RELEVANCE = 1.0
 """What a term or a curve explains over what no term does, at least. An effect that is smaller than what is
@@ -88,15 +88,16 @@ EVIDENCES = (with_disturbance, without_disturbance)
 
 
 def relevance(without: FloatArray, remains: FloatArray, acts: BoolArray) -> float:
-    """What a term explains over what remains beyond the noise, in the outputs that it acts on.
+    """What a term explains over what remains beside it, in the outputs that it acts on.
 
     Args:
         without: mean squares (c,) of the outputs' errors without the term, in noise levels.
         remains: the same with it.
         acts: (c,) marks the outputs that the term changes.
     """
-    beyond_noise = max(float(np.mean(remains[acts])) - 1.0, KNOWN_NOISE**2 - 1.0)
-    return float(np.mean((without - remains)[acts])) / beyond_noise
+    beyond_noise = float(np.mean(remains[acts])) - KNOWN_NOISE**2
+    explained = float(np.mean((without - remains)[acts]))
+    return explained / beyond_noise if beyond_noise > 0.0 else inf
 
 
 def candidates(model: Model, present: Sequence[str]) -> list[tuple[str, ...]]:
