@@ -54,6 +54,13 @@ class Fitted:
         return np.asarray(np.sum(outputs**2, axis=0) * outputs.shape[1] / self.dof)
 
     @property
+    def held(self) -> frozenset[str]:
+        """Keys of the rig's own parameters that were not estimated though these terms have them free."""
+        parameters = self.problem.model.parameters
+        free = set(free_of(self.problem.model, self.terms).tolist()) - set(self.problem.free.tolist())
+        return frozenset(parameters[i].key for i in free)
+
+    @property
     def dof(self) -> int:
         """Residuals less what was fitted."""
         fitted = len(self.problem.free) + self.solution.point.states.size

@@ -95,6 +95,8 @@ def relevance(without: FloatArray, remains: FloatArray, acts: BoolArray) -> floa
         remains: the same with it.
         acts: (c,) marks the outputs that the term changes.
     """
+    if not acts.any():
+        return 0.0
     beyond_noise = float(np.mean(remains[acts])) - KNOWN_NOISE**2
     explained = float(np.mean((without - remains)[acts]))
     return explained / beyond_noise if beyond_noise > 0.0 else inf

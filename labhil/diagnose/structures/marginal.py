@@ -52,8 +52,8 @@ class Grams:
     disturbance and before the baseline's responses are taken out: it sizes the prior, whose ``precision``
     (m, m) is that of responses of one noise level. ``log_prior`` (T,) is that of τ; ``log_weight`` (T,) has
     in it also what does not depend on the structure. ``samples`` is how many rows there are, ``left`` how
-    many beside states and baseline, and ``dof`` how many of these are independent. ``by_output`` (c, m, m) are
-    the first of ``seen`` of each output by itself, and ``acts`` (c, m) marks the outputs that a response
+    many beside states and baseline, and ``dof`` how many of these are independent. ``by_output`` (c, m, m)
+    are the first of ``seen`` of each output by itself, and ``acts`` (c, m) marks those that a response
     changes.
     """
 
