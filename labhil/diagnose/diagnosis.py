@@ -21,6 +21,7 @@ from labhil.diagnose.intake import Fault, usable
 from labhil.diagnose.joint_curves import strongest
 from labhil.diagnose.judge import NEEDED_BIC, TOGETHER, Data
 from labhil.diagnose.load import with_load
+from labhil.diagnose.minor import without_minor
 from labhil.diagnose.refit import on_windows
 from labhil.diagnose.remainder import find_remainder
 from labhil.diagnose.rest import left_by, unexplained
@@ -103,7 +104,11 @@ def diagnose(
             *(telling.unnamed(curve, *claimed) for curve in told),
         ),
         rivals=tuple(telling.rival_term(model, rival, found, *claimed) for rival in found.rivals),
-        undecided=telling.undecided(model),
+        undecided=(
+            *telling.too_little(found),
+            *telling.as_likely_as_not(found),
+            *telling.undecided(model),
+        ),
         excluded=telling.excluded(end.data, found),
         data="test" if heldout_is_test else "heldout",
         held_out=end.data.test,
@@ -197,15 +202,15 @@ def _found(
         found = _with_credible_sizes(data, found, progress)
         found = with_load(data, found, accepted)
         sizes = _sizes(data.model, reference) if reference is not None and not found.errors else frozenset()
-        if not sizes:
-            return found
-        progress("the same with the sizes of the given model held")
-        held = replace(data, held=sizes)
-        again = search_structures(held, fit_baseline(held, terms), progress)
+        if sizes:
+            progress("the same with the sizes of the given model held")
+            held = replace(data, held=sizes)
+            again = search_structures(held, fit_baseline(held, terms), progress)
+            found = _simpler(found, again) if again.complete else replace(found, complete=False)
+        return without_minor(data, found)
     except EndedEarly:
         accept()
         return replace(found, complete=False)
-    return _simpler(found, again) if again.complete else replace(found, complete=False)
 
 
 def _with_credible_sizes(data: Data, found: Found, progress: Callable[[str], None]) -> Found:

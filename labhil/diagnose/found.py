@@ -10,9 +10,6 @@ from labhil.diagnose.curve import Curved
 from labhil.diagnose.evidence import Evidence
 from labhil.identify.fitted import Fitted
 
-BETTER = 1e-3
-"""Share of the cost by which a fit of the same terms has to be better to be another one."""
-
 
 @dataclass(frozen=True, slots=True)
 class Step:
@@ -43,6 +40,22 @@ class Rival:
 
 
 @dataclass(frozen=True, slots=True)
+class Minor:
+    """A term that was seen, and the ``share`` of the mismatch that it explains: too little to be named."""
+
+    term: str
+    share: float
+
+
+@dataclass(frozen=True, slots=True)
+class Open:
+    """A term that the searched data speak neither for nor against, and its ``probability``."""
+
+    term: str
+    probability: float
+
+
+@dataclass(frozen=True, slots=True)
 class FittedCurve:
     """A curve as it was refitted ``beside`` some terms, and its log odds over the likeliest named ones."""
 
@@ -56,8 +69,9 @@ class Found:
     """Where a search ended; ``errors`` are standard errors by key that its fits by themselves cannot know.
 
     ``collapsed`` are sizes of the rig that gave way in the baseline. ``curve`` is a force without a name that
-    is likelier than more names, fitted beside those that are left.
-    ``complete`` is False where it was ended early, with the best so far.
+    is likelier than more names, fitted beside those that are left. ``minor`` are terms that explain
+    too little, ``open`` those that are about as likely as not. ``complete`` is False where it was ended
+    early, with the best so far.
     """
 
     baseline: Fitted
@@ -70,6 +84,8 @@ class Found:
     collapsed: tuple[Collapsed, ...] = ()
     complete: bool = True
     curve: FittedCurve | None = None
+    minor: tuple[Minor, ...] = ()
+    open: tuple[Open, ...] = ()
 
     @property
     def nothing(self) -> Found:
@@ -85,35 +101,3 @@ class Found:
     def step(self, term: str) -> Step:
         """The step that added a term; StopIteration where it was none that counts."""
         return next(step for step in self.missing if step.terms[0] == term)
-
-
-@dataclass(slots=True)
-class Trail:
-    """Where a search stands: the best model so far, p values of its steps, rivals of its terms.
-
-    ``been`` are the sets of terms that it stood at, with the cost there: it goes back only to a better fit,
-    for a first one may have ended in a wrong valley.
-    """
-
-    current: Fitted
-    p_values: list[float]
-    rivals: tuple[Rival, ...] = ()
-    been: dict[frozenset[str], float] = field(default_factory=dict)
-
-    def begin(self, fitted: Fitted) -> None:
-        """Stand there, on windows on which it has been nowhere yet."""
-        self.been = {frozenset(fitted.terms): fitted.solution.cost}
-        self.current = fitted
-
-    def may_go(self, fitted: Fitted) -> bool:
-        """Whether it has not stood there, or at a clearly worse fit of the same terms."""
-        cost = self.been.get(frozenset(fitted.terms), float("inf"))
-        return fitted.solution.cost < (1.0 - BETTER) * cost
-
-    def go(self, fitted: Fitted) -> bool:
-        """Stand there from now on; False, and stay, where it has been before."""
-        if not self.may_go(fitted):
-            return False
-        self.been[frozenset(fitted.terms)] = fitted.solution.cost
-        self.current = fitted
-        return True

@@ -32,9 +32,7 @@ def joint_curves(data: Data, found: Found) -> tuple[Unmodelled, ...]:
     The joints have their turns by what is left of them, until little is left or the worst of what is little
     more than noise has none.
     """
-    data = replace(
-        data, held=found.final.held
-    )
+    data = replace(data, held=found.final.held)
     model, curves = data.model, tuple[Unmodelled, ...]()
     waiting = list(model.moved) if isinstance(model, Yielding) else []
     while waiting:

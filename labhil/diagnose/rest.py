@@ -59,9 +59,3 @@ def unexplained(data: Data, left: FloatArray) -> bool:
     """Whether that (…, c) is more than noise, of any output."""
     limit = EXCESS if data.model.metric is Metric.INVERSE_DYNAMICS else UNEXPLAINED
     return bool(np.max(left) > limit)
-
-
-def stands_in(baseline: Fitted, final: Fitted) -> bool:
-    """Whether what was found explains less than half of the excess that the baseline leaves of the search."""
-    before, after = baseline.noise**2, final.noise**2
-    return before - after < STANDS_IN * (before - 1.0)

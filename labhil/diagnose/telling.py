@@ -14,6 +14,7 @@ from labhil.diagnose.conclude import MISNAMED
 from labhil.diagnose.credence import credence, share
 from labhil.diagnose.found import Found, Rival, Step
 from labhil.diagnose.judge import Data
+from labhil.diagnose.minor import LEAST_SHARE
 from labhil.diagnose.unmodelled import Unmodelled
 from labhil.identify.fitted import Fitted, covariances
 from labhil.identify.intervals import quantile
@@ -137,6 +138,20 @@ def rival_term(model: Model, rival: Rival, found: Found, excess: float, claims: 
     )
 
 
+def too_little(found: Found) -> tuple[Undecided, ...]:
+    """Terms that were seen, but that an imperfect law of a larger one could stand for."""
+    share = f"{100.0 * LEAST_SHARE:.0f} %"
+    reason = f"less than {share} of the mismatch, which an imperfect law of a larger effect may leave, too"
+    return tuple(Undecided(*unkeyed(minor.term), (), reason) for minor in found.minor)
+
+
+def as_likely_as_not(found: Found) -> tuple[Undecided, ...]:
+    """Terms that are neither named nor a rival's, and that the searched data leave open."""
+    told = {*found.final.terms, *(rival.term for rival in found.rivals)}
+    reason = "these data speak neither for it nor against it"
+    return tuple(Undecided(*unkeyed(each.term), (), reason) for each in found.open if each.term not in told)
+
+
 def undecided(model: Model) -> tuple[Undecided, ...]:
     """Terms of which no recording of this rig can speak, with the reason."""
     return tuple(Undecided(*unkeyed(key), (), reason) for key, reason in model.never_seen.items())
@@ -252,7 +267,8 @@ def excluded(data: Data, found: Found) -> tuple[Excluded, ...]:
     basis, _ = np.linalg.qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300))
     noise = found.final.noise
     limits = []
-    absent = [term for key, term in data.model.terms.items() if key not in found.final.terms]
+    seen = {*found.final.terms, *(minor.term for minor in found.minor)}
+    absent = [term for key, term in data.model.terms.items() if key not in seen]
     for term, parameter in [(each, main) for each in absent for main in _main(each)]:
         column = _slope(found.final, parameter)
         column = problem.project(lin, column[:, None])[:, 0]

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy import signal
 
 from labhil.diagnose.judge import Data
-from labhil.diagnose.rest import left_over, stands_in, unexplained
+from labhil.diagnose.rest import left_over, unexplained
 from labhil.identify.fitted import start_theta
 from labhil.identify.noise import CORRELATIONS, lasting_noise
 from labhil.identify.score import score, scored_horizon
@@ -66,14 +65,6 @@ def test_what_is_left_decides(model, still):
     data = Data(model, still, still, np.array([LEVEL]), np.array([LEVEL]), 1.5, start_theta(model, TRUTH))
     assert not unexplained(data, np.array([1.1]))
     assert unexplained(data, np.array([1.0, 1.3]))
-
-
-def test_terms_that_leave_most_of_the_excess_stand_in_for_something_else():
-    def noise(level):
-        return SimpleNamespace(noise=level)
-
-    assert stands_in(noise(2.0), noise(1.8))
-    assert not stands_in(noise(2.0), noise(1.3))
 
 
 class Undamped:

@@ -90,7 +90,7 @@ def the_gain_has_changed(found) -> None:
 
 @pytest.mark.extended
 def test_beside_a_random_force_evidence_tells_the_gain_and_that_more_is_left(labhil, recording):
-    """Whether the force that drives the ball or a delay leaves this, it holds as likely as not."""
+    """Whether a delay is there beside the force that drives the ball, these data leave open."""
     rig = recording.with_name("nominal.toml")
     rig.write_text(RIG.read_text() + "\n[nominal]\nacceleration_per_radian = 7.0\n")
     done = labhil("diagnose", recording, "--rig", rig, "--json", "by_evidence.json")
@@ -98,19 +98,5 @@ def test_beside_a_random_force_evidence_tells_the_gain_and_that_more_is_left(lab
     found = json.loads(recording.with_name("by_evidence.json").read_text())
     assert found["verdict"] == "unexplained_mismatch"
     assert found["missing"] == []
+    assert "time_delay" in {left["term"] for left in found["undecided"]}
     the_gain_has_changed(found)
-
-
-@pytest.mark.extended
-@pytest.mark.timeout(1200)
-def test_a_wrong_gain_and_the_delay_that_nobody_modelled_are_told_and_nothing_else(labhil, recording):
-    """Noise that drives the ball outgrows every model on long windows, so that more than noise is left."""
-    rig = recording.with_name("nominal.toml")
-    rig.write_text(RIG.read_text() + "\n[nominal]\nacceleration_per_radian = 7.0\n")
-    done = labhil("diagnose", recording, "--rig", rig, "--method", "search", "--json", "diagnosis.json")
-    assert done.status == 0, done.err
-    found = json.loads(recording.with_name("diagnosis.json").read_text())
-    assert [missing["term"] for missing in found["missing"]] == ["time_delay"]
-    the_gain_has_changed(found)
-    (delay,) = found["missing"][0]["parameters"]
-    assert 0.05 < delay["value"] < 0.25

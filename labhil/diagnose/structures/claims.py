@@ -12,7 +12,13 @@ from labhil.diagnose.found import Found, Step
 from labhil.diagnose.judge import ALPHA, Data
 from labhil.diagnose.refit import without
 from labhil.diagnose.structures.enumerate import Structure, closed
-from labhil.diagnose.structures.state import SearchState, inclusion, log_odds, rivals_of
+from labhil.diagnose.structures.state import (
+    SearchState,
+    as_likely_as_not,
+    inclusion,
+    log_odds,
+    rivals_of,
+)  # fmt: skip
 from labhil.identify.fitted import Fitted, fit_terms, with_only
 from labhil.identify.score import Score
 
@@ -52,7 +58,15 @@ def concluded(stage: Stage, claim: float, looks: int) -> Found:
     known = state.log_evidence()
     p_value = float(np.exp(min(known[frozenset()] - known[best], 0.0)))
     claimed = closed(model, (step.terms[0] for step in steps), frozenset(base.terms))
-    found = Found(base, _with_only(stage, claimed), tuple(steps), rivals_of(state, best), p_value, looks)
+    found = Found(
+        base,
+        _with_only(stage, claimed),
+        tuple(steps),
+        rivals_of(state, best),
+        p_value,
+        looks,
+        open=as_likely_as_not(state),
+    )
     return found.ending(found.final, found.missing)
 
 

@@ -6,8 +6,9 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.special import expit
 
-from labhil.diagnose.found import Rival
+from labhil.diagnose.found import Open, Rival
 from labhil.diagnose.structures.enumerate import (
     Choice,
     Enumeration,
@@ -19,6 +20,9 @@ from labhil.diagnose.structures.enumerate import (
 from labhil.identify.fitted import Fitted
 from labhil.physics.model import Model
 from labhil.signals import BoolArray
+
+UNDECIDED = 0.1
+"""Probability from which a term that is not named is as open as one that is not there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +134,21 @@ def log_odds(model: Model, state: SearchState, term: str) -> float:
     if not carriers and reduced is not None and np.isfinite(reduced.log_evidence):
         without = reduced.log_evidence
     return own.log_evidence - without
+
+
+def as_likely_as_not(state: SearchState) -> tuple[Open, ...]:
+    """Terms of which the refitted structures with and without them are within odds of nine to one."""
+    logs = {structure: each.log_evidence for structure, each in state.refitted.items()}
+    found = []
+    for term in sorted({term for structure in logs for term in structure} - state.best):
+        having, lacking = (
+            max(value for structure, value in logs.items() if (term in structure) == there)
+            for there in (True, False)
+        )
+        probability = float(expit(having - lacking))
+        if UNDECIDED <= probability <= 1.0 - UNDECIDED:
+            found.append(Open(term, probability))
+    return tuple(found)
 
 
 def rivals_of(state: SearchState, best: Structure) -> tuple[Rival, ...]:
