@@ -90,15 +90,16 @@ def _step(term: str, odds: float, probability: float) -> Step:
 
 
 def borne_out(stage: Stage, found: Found) -> Found:
-    """Only what held-out data bear out, too: of all claims together none by chance (Bonferroni).
+    """Only what held-out data bear out, too, so that chance makes a tenth of the claims at most.
 
-    Without what they bear out least, the other doubtful ones are asked anew, and in the end all.
+    The one that they bear out least goes first (Benjamini and Hochberg 1995: of m claims the largest p value
+    has to be below α); without it the other doubtful ones are asked anew, and in the end all.
     """
     baseline = frozenset(found.baseline.terms)
     asked = _terms(found.missing)
     while found.missing:
         found = replace(found, missing=_validated(stage, found, asked))
-        doubtful = [step for step in found.missing if step.evidence.p_value >= ALPHA / len(found.missing)]
+        doubtful = [step for step in found.missing if step.evidence.p_value >= ALPHA]
         if doubtful:
             least = max(doubtful, key=lambda step: step.evidence.p_value)
             kept = frozenset(without(stage.data.model, found.final.terms, least.terms[0])) - baseline
