@@ -18,6 +18,7 @@ from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.evidence import Evidence, best_heldout_gain, bic, effective_samples, search_p_value
 from labhil.diagnose.found import Found, Step
 from labhil.diagnose.judge import Data, supported
+from labhil.diagnose.minor import without_minor
 from labhil.diagnose.refit import refit
 from labhil.identify.fitted import Fitted, covariances
 from labhil.physics.model import Model, index_of
@@ -62,7 +63,23 @@ def with_load(data: Data, found: Found, accepted: Accepted | None) -> Found:
     if TERM in found.final.terms or not model.sizes_of_load(1.0, (0.0, 0.0, 0.0)):
         return found
     load = load_in(model, found.final, accepted)
-    return found if load is None else _told(data, model, found, load, accepted)
+    if load is None:
+        return found
+    told = without_minor(data, _told(data, model, found, load, accepted))
+    return _beside_what_counts(data, model, found, told, accepted)
+
+
+def _beside_what_counts(data: Data, model: Loadable, found: Found, told: Found, accepted: Accepted) -> Found:
+    """The load once more without terms that it made minor: they blurred the sizes that it is told from."""
+    if not told.minor:
+        return told
+    kept = tuple(step for step in found.missing if step.terms[0] in told.final.terms)
+    final = refit(data, found.final, [term for term in told.final.terms if term != TERM], ())
+    load = load_in(model, final, accepted)
+    if load is None:
+        return told
+    again = _told(data, model, replace(found, final=final, missing=kept), load, accepted)
+    return replace(again, minor=told.minor)
 
 
 def load_in(model: Loadable, fitted: Fitted, accepted: Accepted) -> Load | None:
@@ -107,7 +124,8 @@ def _told(data: Data, model: Loadable, found: Found, load: Load, accepted: Accep
     added = model.sizes_of_load(float(load.values[0]), load.values[1:].tolist())
     theta = found.final.theta.copy()
     for key, change in added.items():
-        theta[places[key]] -= change
+        # what a load leaves of a change may have made up for another effect, which has to explain it now
+        theta[places[key]] = accepted.values.get(key, theta[places[key]] - change)
     for key, value in zip(KEYS, load.values.tolist(), strict=True):
         theta[places[key]] = value
     held = replace(data, held=data.held | set(added))

@@ -36,7 +36,7 @@ def without_minor(data: Data, found: Found) -> Found:
         minor.append(Minor(least, shares[least]))
         final = refit(data, found.final, without(data.model, found.final.terms, least), ())
         found = found.ending(final, tuple(step for step in found.missing if step.terms[0] in final.terms))
-    return replace(found, minor=tuple(minor))
+    return replace(found, minor=(*found.minor, *minor))
 
 
 def _shares(found: Found) -> dict[str, float]:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from labhil.identify.spline import Spline
 from labhil.physics.extra_force import ExtraForce, MovedPart, Over, Yielding, along_positive
-from labhil.physics.model import Metric, Model, Record, Windows, unit_of
+from labhil.physics.model import Metric, Model, PartlyLinear, Record, Windows, unit_of
 from labhil.physics.terms import Enters, Parameter, Term, Yardstick
 from labhil.signals import FloatArray
 
@@ -133,6 +133,13 @@ class ExtendedModel:
         """Simulated outputs of all windows, (N, channels)."""
         own, coefficients = self.split(theta)
         return self._under(coefficients, record).simulate(own, record, windows, states)
+
+    def regressor(self, theta: FloatArray, record: Record, free_keys: Sequence[str]) -> FloatArray:
+        """The inner model's slopes by parameters that it is linear in, under the force."""
+        own, coefficients = self.split(theta)
+        inner = self._under(coefficients, record)
+        assert isinstance(inner, PartlyLinear)
+        return inner.regressor(own, record, free_keys)
 
     def coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray

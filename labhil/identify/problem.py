@@ -15,7 +15,7 @@ import numpy as np
 from labhil.ending import checkpoint
 from labhil.identify.rounding import telling_shares
 from labhil.identify.windows import noise_at
-from labhil.physics.model import Model, Record, Windows
+from labhil.physics.model import Model, PartlyLinear, Record, Windows
 from labhil.signals import FloatArray, IntArray
 
 STATE_STEP = 1e-5
@@ -75,6 +75,9 @@ class Problem:
         self.step = [p.step for p in chosen]
         self.lower = np.array([p.lower for p in chosen]) / self.scale
         self.upper = np.array([p.upper for p in chosen]) / self.scale
+        self._linear = np.array([p.linear for p in chosen], dtype=bool)
+        if self._linear.any() and not isinstance(model, PartlyLinear):
+            self._linear[:] = False
         channels = record.outputs.shape[1]
         self.owner = np.repeat(windows.owner, channels)
         self.edges = np.flatnonzero(np.r_[True, np.diff(self.owner) > 0])
@@ -138,11 +141,29 @@ class Problem:
         return np.clip(np.nan_to_num(residuals, nan=WORST), -WORST, WORST)
 
     def linearise(self, point: Point, residuals: FloatArray, *, central: bool = False) -> Linearised:
-        """Differences of the simulation; ``central`` where the bounds leave room, else one-sided."""
+        """Differences of the simulation; ``central`` where the bounds leave room, else one-sided.
+
+        By parameters in which the model says that it is linear the slopes are its own.
+        """
         by_parameters = np.empty((residuals.size, len(self.free)))
-        for j in range(len(self.free)):
-            by_parameters[:, j] = self._slope(point, residuals, j, central)
+        by_parameters[:, self._linear] = self._exact_slopes(point, residuals)
+        for j in np.flatnonzero(~self._linear):
+            by_parameters[:, j] = self._slope(point, residuals, int(j), central)
         return Linearised(residuals, by_parameters, self.state_slopes(point, residuals))
+
+    def _exact_slopes(self, point: Point, residuals: FloatArray) -> FloatArray:
+        """Slopes (N·c, L) by the free parameters that the model is linear in."""
+        if not self._linear.any() or not isinstance(self.model, PartlyLinear):
+            return np.empty((residuals.size, 0))
+        keys = [self.model.parameters[i].key for i in self.free[self._linear]]
+        outputs = self.record.outputs.shape
+        whole = self.model.regressor(self.theta(point.z), self.record, keys).reshape(*outputs, len(keys))
+        slopes = whole[self.windows.rows] * self.scale[self._linear]
+        slopes /= np.broadcast_to(self.noise, slopes.shape[:2])[:, :, None]
+        if self._censored is not None:
+            beyond = (self._censored != 0) & (residuals.reshape(-1, outputs[1]) == 0.0)
+            slopes = np.where(beyond[:, :, None], 0.0, slopes)
+        return np.asarray(slopes.reshape(residuals.size, len(keys)))
 
     def state_slopes(self, point: Point, residuals: FloatArray) -> FloatArray:
         """Slopes of the residuals by each window's own state, in units of the states' scale (N·c, S)."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -358,6 +358,15 @@ class Model(Protocol):
 
     def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
         """What the starts of parameters are fractions of, in this record."""
+        ...
+
+
+@runtime_checkable
+class PartlyLinear(Model, Protocol):
+    """A model without states that knows its exact slopes by those parameters that it is linear in."""
+
+    def regressor(self, theta: FloatArray, record: Record, free_keys: Sequence[str]) -> FloatArray:
+        """Slopes of :meth:`simulate` over a whole record by linear parameters, (N·c, P) per unit."""
         ...
 
 

@@ -11,7 +11,15 @@ from scipy import integrate
 from labhil.analysis.material import load_material
 from labhil.diagnose.diagnosis import data_of, fit_baseline
 from labhil.diagnose.structures.disturbance import Disturbance
-from labhil.diagnose.structures.marginal import KAPPA, Batch, Grams, View, grams, log_evidence
+from labhil.diagnose.structures.marginal import (
+    KAPPA,
+    Batch,
+    Grams,
+    View,
+    grams,
+    log_evidence,
+    promised,
+)  # fmt: skip
 from labhil.diagnose.structures.search import search_structures
 
 ROOT = Path(__file__).parents[2]
@@ -92,6 +100,26 @@ def test_a_smooth_disturbance_takes_the_evidence_from_a_term_that_imitates_it() 
         gains.append(with_it[0] - log_evidence(seen, one([], [], []))[0][0])
     assert gains[0] > 20.0
     assert gains[1] < 0.5 * gains[0]
+
+
+def test_what_one_more_block_promises_is_what_the_evidence_is_with_it() -> None:
+    """By the Schur complement and from scratch, of one size that cannot be negative and of a block of two."""
+    random = np.random.default_rng(7)
+    n, count = 300, 5
+    responses = random.standard_normal((n, count))
+    target = responses @ np.array([0.5, -0.3, 0.2, 0.1, 0.0]) + random.standard_normal(n)
+    matrix = np.column_stack([target, responses])
+    modes = np.cos(np.pi * np.arange(1, 5) * (np.arange(n)[:, None] + 0.5) / n)
+    blocks = [(range(1, 2), None), (range(2, 3), None), (range(3, 4), None), (range(4, 6), None)]
+    seen = disturbed(matrix, modes, (1.0, 10.0)).with_precisions(blocks)
+    start = Batch(np.array([[1], [2]]), np.array([[0], [0]]), np.array([[False], [False]]))
+    for block, positive in (([3], [True]), ([4, 5], [False, False])):
+        logs, calm = promised(seen, start, np.array([block]), np.array([positive]))
+        for s, first in enumerate((1, 2)):
+            longer = one([first, *block], [0, *[1] * len(block)], [False, *positive])
+            expected, undisturbed_too, _ = log_evidence(seen, longer)
+            assert logs[s, 0] == pytest.approx(expected[0], abs=1e-5)
+            assert calm[s, 0] == pytest.approx(undisturbed_too[0], abs=1e-5)
 
 
 @pytest.mark.extended

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain, combinations, product
 from math import comb, inf, log
 from typing import Protocol
 
 import numpy as np
 
-from labhil.diagnose.structures.marginal import Batch, log_evidence
+from labhil.diagnose.structures.marginal import Batch, log_evidence, promised
 from labhil.diagnose.structures.responses import Responses, Variant
 from labhil.physics.model import Model
 from labhil.signals import BoolArray, FloatArray
@@ -23,6 +24,9 @@ KNOWN_NOISE = 1.1
 RELEVANCE = 1.0
 """What a term or a curve explains over what no term does, at least. An effect that is smaller than what is
 missing beside it cannot be told from that."""
+
+PROMISING = 2
+"""Structures that are weighed exactly, over the width of the beam: what an addition promises is nearly so."""
 
 Choice = tuple[Variant, ...]
 """A structure with the way in which each of its terms acts."""
@@ -139,7 +143,7 @@ class Enumeration:
     def evaluate(self, choices: Sequence[Choice]) -> list[Predicted]:
         """Return each structure with its log evidence, prior included, in the order given."""
         found: list[Predicted | None] = [None] * len(choices)
-        widths = [sum(len(v.keys) for v in choice) for choice in choices]
+        widths = [_width(choice) for choice in choices]
         for width in sorted(set(widths)):
             places = [i for i, w in enumerate(widths) if w == width]
             batch = _batch([choices[i] for i in places], width)
@@ -180,7 +184,7 @@ class Enumeration:
         self._note(reached, self.evaluate(beam))
         waited = 0
         for _ in range(self.options.most_terms):
-            extended = self._extended(beam, order, reached)
+            extended = self._most_promising(beam, order, reached)
             if not extended:
                 break
             found = self.evaluate(extended)
@@ -203,9 +207,13 @@ class Enumeration:
 
     def _predicted(self, choice: Choice, value: float, undisturbed: float, sizes: FloatArray) -> Predicted:
         structure = frozenset(v.term for v in choice)
-        ways = sum(log(len(self.responses.variants[v.term])) for v in choice)
-        prior = log_prior(self.model, structure, self.candidates) - ways
+        prior = self._log_prior(choice)
         return Predicted(structure, float(value + prior), float(undisturbed + prior), choice, sizes)
+
+    def _log_prior(self, choice: Choice) -> float:
+        """Of a structure and of the ways in which its terms act."""
+        ways = sum(log(len(self.responses.variants[v.term])) for v in choice)
+        return log_prior(self.model, frozenset(v.term for v in choice), self.candidates) - ways
 
     @staticmethod
     def _note(reached: dict[Structure, Predicted], found: Iterable[Predicted]) -> None:
@@ -236,25 +244,70 @@ class Enumeration:
         terms = frozenset(v.term for v in choice)
         return closed(self.model, terms, self.baseline) == terms
 
-    def _extended(
+    def _most_promising(
         self,
         beam: Sequence[Choice],
         order: Mapping[str, Sequence[Variant]],
         reached: Mapping[Structure, object],
     ) -> list[Choice]:
-        """Each structure of the beam with one more term, and what that builds on."""
-        found = dict[frozenset[tuple[str, int]], Choice]()
-        for choice in beam:
-            terms = frozenset(v.term for v in choice)
-            for term, ways in order.items():
-                carried = [t for t in self.model.terms[term].with_terms if t not in terms | self.baseline]
-                if term in terms or any(t not in order for t in carried):
+        """Structures of the beam with one more term, and what that builds on: those that promise most.
+
+        The promise keeps the priors of the structure that is extended, which few terms would change.
+        """
+        promises = dict[frozenset[tuple[str, int]], tuple[FloatArray, Choice]]()
+        added = self._additions(order)
+        for width in sorted({_width(choice) for choice in beam}):
+            choices = [choice for choice in beam if _width(choice) == width]
+            for choice, more, logs in self._promised(choices, added):
+                longer = (*choice, *more)
+                if frozenset(v.term for v in longer) in reached:
                     continue
-                for way in ways:
-                    longer = (*choice, *(order[t][0] for t in carried), way)
-                    if frozenset(v.term for v in longer) not in reached:
-                        found.setdefault(_key(longer), longer)
-        return list(found.values())
+                known = promises.get(_key(longer))
+                if known is None or logs.max() > known[0].max():
+                    promises[_key(longer)] = (logs, longer)
+        kept = dict[frozenset[tuple[str, int]], Choice]()
+        for kind in range(len(EVIDENCES)):
+            ranked = sorted(promises.items(), key=lambda item: -float(item[1][0][kind]))
+            kept |= {key: longer for key, (_, longer) in ranked[: PROMISING * self.options.width]}
+        return list(kept.values())
+
+    def _additions(self, order: Mapping[str, Sequence[Variant]]) -> list[Choice]:
+        """Every term that may be added, by each of its ways, with and without what it builds on."""
+        found: list[Choice] = []
+        for term, ways in order.items():
+            carried = [t for t in self.model.terms[term].with_terms if t not in self.baseline]
+            if any(t not in order for t in carried):
+                continue
+            for there in chain.from_iterable(combinations(carried, n) for n in range(len(carried) + 1)):
+                found += [(*(order[t][0] for t in there), way) for way in ways]
+        return found
+
+    def _promised(
+        self, choices: Sequence[Choice], added: Sequence[Choice]
+    ) -> Iterator[tuple[Choice, Choice, FloatArray]]:
+        """Choices of one number of responses, additions that fit them, and both promises of log evidence."""
+        batch = _batch(choices, _width(choices[0]))
+        terms = [frozenset(v.term for v in choice) for choice in choices]
+        for width in sorted({_width(more) for more in added}):
+            same = [more for more in added if _width(more) == width]
+            places = np.array([[p for v in more for p in v.places] for more in same], dtype=np.int64)
+            positive = np.array([[s for v in more for s in v.positive] for more in same], dtype=bool)
+            logs = np.stack(promised(self.responses.grams, batch, places, positive), axis=-1)
+            for i, j in product(range(len(choices)), range(len(same))):
+                if self._fits(terms[i], same[j]):
+                    prior = self._log_prior((*choices[i], *same[j]))
+                    yield choices[i], same[j], logs[i, j] + prior
+
+    def _fits(self, terms: Structure, more: Choice) -> bool:
+        """Whether an addition is what a structure lacks for one more term."""
+        new = more[-1].term
+        carried = {t for t in self.model.terms[new].with_terms if t not in terms | self.baseline}
+        return new not in terms and {v.term for v in more[:-1]} == carried
+
+
+def _width(choice: Choice) -> int:
+    """How many responses a structure has."""
+    return sum(len(v.keys) for v in choice)
 
 
 def _key(choice: Choice) -> frozenset[tuple[str, int]]:

@@ -24,7 +24,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import log_ndtr
+from scipy.special import log_ndtr, logsumexp
 
 from labhil.signals import BoolArray, FloatArray, IntArray
 
@@ -176,41 +176,108 @@ def log_evidence(grams: Grams, batch: Batch) -> tuple[FloatArray, FloatArray, Fl
         Logarithms (S,), up to a constant that all structures share; the same without a disturbance (S,), its
         prior left out; and sizes (S, k).
     """
-    raw = _gathered(grams.raw, batch.columns)
-    logs, sizes = zip(*(_under(grams, t, raw, batch) for t in range(len(grams.log_weight))), strict=True)
-    every = np.array(logs)
+    solved = [_under(grams, t, batch) for t in range(len(grams.log_weight))]
+    every = np.array([each.logs for each in solved])
     best = np.argmax(every, axis=0)
-    highest = every.max(axis=0)
-    total = highest + np.log(np.sum(np.exp(every - highest), axis=0))
-    return total, every[0] - grams.log_prior[0], np.array(sizes)[best, np.arange(len(best))]
+    sizes = np.array([each.sizes for each in solved])[best, np.arange(len(best))]
+    return logsumexp(every, axis=0), every[0] - grams.log_prior[0], sizes
 
 
-def _under(grams: Grams, t: int, raw: FloatArray, batch: Batch) -> tuple[FloatArray, FloatArray]:
-    """The same under one τ."""
+def promised(
+    grams: Grams, batch: Batch, places: IntArray, positive: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """What the evidence of structures would be with one more block each, their own priors left as they are.
+
+    Args:
+        grams: inner products of all responses.
+        batch: S structures of k responses.
+        places: (V, w) of the responses of each block that may be added.
+        positive: (V, w) marks sizes that cannot be negative.
+
+    Returns:
+        Logarithms (S, V) as of `log_evidence`, for the likeliest κ of the new block, and the same without a
+        disturbance.
+    """
+    own = grams.precision[places[:, :, None], places[:, None, :]]
+    every = np.array([_with_one_more(grams, t, batch, places, positive, own) for t in range(len(grams.seen))])
+    return logsumexp(every, axis=0), every[0] - grams.log_prior[0]
+
+
+def _with_one_more(
+    grams: Grams, t: int, batch: Batch, places: IntArray, positive: BoolArray, own: FloatArray
+) -> FloatArray:
+    """The logarithms (S, V) under one τ, by the Schur complement of each structure's system."""
+    seen, solved = grams.seen[t], _under(grams, t, batch)
+    across = seen[batch.columns[:, :, None, None], places]
+    pull = seen[places, 0] + np.einsum("skvw,sk->svw", across, solved.sizes)
+    taken = np.einsum("skl,slvw->skvw", solved.inverse, across, optimize=True)
+    complement = seen[places[:, :, None], places[:, None, :]] - np.einsum(
+        "skvw,skvu->svwu", across, taken, optimize=True
+    )
+    best = np.full(pull.shape[:2], -np.inf)
+    for kappa in KAPPA:
+        prior = _lifted(own / kappa**2)
+        system = _lifted(complement + prior)
+        inverse = np.asarray(np.linalg.inv(system), dtype=np.float64)
+        sizes = np.asarray(-np.einsum("svwu,svu->svw", inverse, pull))
+        left = solved.rest[:, None] + np.einsum("svw,svw->sv", sizes, pull)
+        rest = np.asarray(np.maximum(left, 1e-12 * seen[0, 0]), dtype=np.float64)
+        occam = 0.5 * (np.linalg.slogdet(prior)[1] - np.linalg.slogdet(system)[1])
+        signs = _signs(sizes, inverse, rest, positive, grams.dof)
+        gain = 0.5 * grams.dof * (np.log(solved.rest)[:, None] - np.log(rest))
+        best = np.maximum(best, occam + signs + gain)
+    return np.asarray(solved.logs[:, None] + best - np.log(len(KAPPA)))
+
+
+@dataclass(frozen=True, slots=True)
+class Solved:
+    """Structures under one τ: log evidence (S,), sizes (S, k), inverses (S, k, k) of their systems, the rest.
+
+    ``rest`` (S,) is what is left of the target's square, sizes beside their prior.
+    """
+
+    logs: FloatArray
+    sizes: FloatArray
+    inverse: FloatArray
+    rest: FloatArray
+
+
+def _under(grams: Grams, t: int, batch: Batch) -> Solved:
+    """Evidence of structures under one τ."""
     seen, total = grams.seen[t], grams.seen[t, 0, 0]
-    k = batch.columns.shape[1]
+    count, k = batch.columns.shape
     if k == 0:
         value = grams.log_weight[t] - 0.5 * grams.dof * np.log(total)
-        return np.full(len(batch.columns), value), np.empty(batch.columns.shape)
+        rest = np.full(count, max(float(total), 1e-300))
+        return Solved(np.full(count, value), np.empty((count, 0)), np.empty((count, 0, 0)), rest)
     gram, pull = _gathered(seen, batch.columns), seen[batch.columns, 0]
     same = batch.block[:, :, None] == batch.block[:, None, :]
     unit = _gathered(grams.precision, batch.columns) * same
     first = gram + unit / FIRST_KAPPA**2
     response = np.linalg.solve(_lifted(first), pull[:, :, None])[:, :, 0]
-    energy = response * np.einsum("sij,sj->si", raw * same, response)
+    energy = response * np.einsum("sij,sj->si", _gathered(grams.raw, batch.columns) * same, response)
     energy = np.einsum("si,sij->sj", energy, same.astype(float))
     kappa = _nearest(np.sqrt(np.maximum(energy, 0.0) / grams.samples))
     prior = _lifted(unit / (kappa[:, :, None] * kappa[:, None, :]))
     system = _lifted(gram + prior)
-    inverse = np.linalg.inv(system)
-    sizes = -np.einsum("sij,sj->si", inverse, pull)
-    rest = np.maximum(total + np.einsum("si,si->s", sizes, pull), 1e-12 * total)
+    inverse = np.asarray(np.linalg.inv(system), dtype=np.float64)
+    sizes = np.asarray(-np.einsum("sij,sj->si", inverse, pull))
+    left = total + np.einsum("si,si->s", sizes, pull)
+    rest = np.asarray(np.maximum(left, 1e-12 * total), dtype=np.float64)
     occam = 0.5 * (np.linalg.slogdet(prior)[1] - np.linalg.slogdet(system)[1])
-    error = np.sqrt(np.clip(np.einsum("sii->si", inverse), 1e-300, 1e150) * rest[:, None] / grams.dof)
-    signs = np.where(batch.positive, np.log(2.0) + log_ndtr(sizes / error), 0.0).sum(axis=1)
+    signs = _signs(sizes, inverse, rest, batch.positive, grams.dof)
     blocks = batch.block.max(axis=1) + 1
     logs = grams.log_weight[t] + occam + signs - blocks * np.log(len(KAPPA)) - 0.5 * grams.dof * np.log(rest)
-    return logs, sizes
+    return Solved(logs, sizes, inverse, rest)
+
+
+def _signs(
+    sizes: FloatArray, inverse: FloatArray, rest: FloatArray, positive: BoolArray, dof: float
+) -> FloatArray:
+    """Log of how much likelier sizes (…, k) are positive than beforehand, where none can be negative."""
+    variance = np.clip(np.einsum("...ii->...i", inverse), 1e-300, 1e150)
+    error = np.sqrt(variance * rest[..., None] / dof)
+    return np.asarray(np.where(positive, np.log(2.0) + log_ndtr(sizes / error), 0.0).sum(axis=-1))
 
 
 def _gathered(matrix: FloatArray, columns: IntArray) -> FloatArray:
@@ -219,9 +286,9 @@ def _gathered(matrix: FloatArray, columns: IntArray) -> FloatArray:
 
 
 def _lifted(matrices: FloatArray) -> FloatArray:
-    """The same (S, k, k) with a little on the diagonals, so that equal columns do no harm."""
+    """The same (…, k, k) with a little on the diagonals, so that equal columns do no harm."""
     lifted = matrices.copy()
-    diagonal = np.einsum("sii->si", lifted)
+    diagonal = np.einsum("...ii->...i", lifted)
     diagonal += LEAST * np.abs(diagonal) + 1e-300
     return lifted
 
