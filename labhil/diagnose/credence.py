@@ -1,22 +1,20 @@
 """How probable it is that a named effect is really there.
 
-Evidence alone does not tell: another term may stand in for the right one, and does so the more easily the
-more terms there are and the more is left unexplained. So the probability that a claim (the term or one of
-its listed rivals) is right is a logistic function of three things that a diagnosis knows of itself. Its
-weights were fitted, as ``labhil trial calibrate`` does, to 377 claims about the first 100 trials with effects
-each of axis, ball and beam and DC motor (``labhil trial benchmark``, seed 47), of which 87 % were right. What
+Evidence compares what is in the catalogue. Another term may stand in for the right one, and does so the more
+easily the more terms there are and the more is left unexplained. So the probability that a claim (the term or
+one of its listed rivals) is right is a logistic function of three things that a diagnosis knows of itself; a
+term's own is that times its share of the structures visited. Its
+weights were fitted, as ``labhil trial calibrate`` does, to 377 claims of an earlier search about the first 100 trials
+with effects each of axis, ball and beam and DC motor (``labhil trial benchmark``, seed 47), of which 87 % were right. What
 is stated is scored on other trials. Of an arm, where each joint makes claims of its own and real ones never
 reach the floor, evidence alone counts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from labhil.diagnose.evidence import Evidence
-from labhil.diagnose.found import Rival
 from labhil.signals import FloatArray
 
 WEIGHTS = (2.2, -1.74, -0.66, 1.09)
@@ -24,9 +22,6 @@ WEIGHTS = (2.2, -1.74, -0.66, 1.09)
 logarithm of what is left, with every further claim, and with every factor of ten in ΔBIC."""
 
 MOST_EXCESS = 3.0
-
-TEMPERED = 2.0
-"""What the log odds between rivals are divided by: noise is never quite as independent as it is counted."""
 
 
 def features(delta_bic: float, excess: float, claims: int) -> FloatArray:
@@ -42,12 +37,3 @@ def credence(evidence: Evidence, excess: float, claims: int) -> float:
     """Probability that one of so many ``claims`` is right; ``excess`` is what is left, over the floor."""
     odds = np.array(WEIGHTS) @ features(evidence.delta_bic, excess, claims)
     return float(1.0 / (1.0 + np.exp(-odds)))
-
-
-def share(delta_bic: float, rivals: Sequence[Rival]) -> float:
-    """What of that belongs to one of those that might be it: exp(−ΔBIC/4) over the sum of all.
-
-    The named term itself is at zero. A rival that was left for another way is no better.
-    """
-    total = 1.0 + sum(np.exp(-0.5 * max(rival.delta_bic, 0.0) / TEMPERED) for rival in rivals)
-    return float(np.exp(-0.5 * max(delta_bic, 0.0) / TEMPERED) / total)

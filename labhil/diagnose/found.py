@@ -36,7 +36,7 @@ class Rival:
     term: str
     instead_of: str
     delta_bic: float
-    probability: float | None = None
+    probability: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from scipy import stats
 from labhil.diagnose import locate
 from labhil.diagnose.answer import Curve, Excluded, Missing, RivalTerm, Undecided
 from labhil.diagnose.conclude import MISNAMED
-from labhil.diagnose.credence import credence, share
+from labhil.diagnose.credence import credence
 from labhil.diagnose.found import Found, Rival, Step
 from labhil.diagnose.judge import Data
 from labhil.diagnose.minor import LEAST_SHARE
@@ -41,17 +41,14 @@ def missing(
     term = model.terms[key]
     rows = [row for row in final if (row.term, row.joint) == (term.name, term.joint)]
     sizes = ", ".join(f"{_short(row)} = {row.value:.4g} {_unit(row)}".rstrip() for row in rows)
-    rivals = [r for r in found.rivals if r.instead_of == key]
-    probability = step.probability
-    if probability is None:
-        probability = credence(step.evidence, excess, claims) * share(0.0, rivals)
+    among = 1.0 if step.probability is None else step.probability
     at = "" if term.joint is None else f" of joint {term.joint}"
     return Missing(
         term=term.name,
         joint=term.joint,
         statement=f"The model leaves out {term.statement}{at}: {sizes}.{_together(found.final, rows)}",
         equation=term.equation,
-        probability=probability,
+        probability=credence(step.evidence, excess, claims) * among,
         parameters=rows,
         evidence=step.evidence,
     )
@@ -96,7 +93,7 @@ def unnamed(beyond: Unmodelled, excess: float, claims: int) -> Missing:
         joint=beyond.joint,
         statement=beyond.statement,
         equation=f"a curve over {', '.join(beyond.depends_on)}{formula}",
-        probability=beyond.probability or credence(beyond.evidence, excess, claims),
+        probability=credence(beyond.evidence, excess, claims) * (beyond.probability or 1.0),
         parameters=[],
         evidence=beyond.evidence,
     )
@@ -121,17 +118,13 @@ def curve(beyond: Unmodelled) -> Curve:
 
 def rival_term(model: Model, rival: Rival, found: Found, excess: float, claims: int) -> RivalTerm:
     """A rival with its probability and the excitation that would tell; see :func:`missing`."""
-    same = [r for r in found.rivals if r.instead_of == rival.instead_of]
     step = found.step(rival.instead_of)
     term = model.terms[rival.term]
-    probability = rival.probability
-    if probability is None:
-        probability = credence(step.evidence, excess, claims) * share(rival.delta_bic, same)
     return RivalTerm(
         term=term.name,
         instead_of=rival.instead_of,
         joint=term.joint,
-        probability=probability,
+        probability=credence(step.evidence, excess, claims) * rival.probability,
         delta_bic=rival.delta_bic,
         distinguishable=False,
         experiment=f"excite with {term.revealed_by}",
