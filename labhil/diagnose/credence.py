@@ -3,9 +3,9 @@
 Evidence compares what is in the catalogue. Another term may stand in for the right one, and does so the more
 easily the more terms there are and the more is left unexplained. So the probability that a claim (the term or
 one of its listed rivals) is right is a logistic function of three things that a diagnosis knows of itself; a
-term's own is that times its share of the structures visited. Its
-weights were fitted, as ``labhil trial calibrate`` does, to 377 claims of an earlier search about the first 100 trials
-with effects each of axis, ball and beam and DC motor (``labhil trial benchmark``, seed 47), of which 87 % were right. What
+term's own is that times its share of the structures visited. Its weights were fitted, as
+``labhil trial calibrate`` does, to 377 claims of an earlier search about the first 100 trials with effects
+each of axis, ball and beam and DC motor (``labhil trial benchmark``, seed 47), of which 87 % were right. What
 is stated is scored on other trials. Of an arm, where each joint makes claims of its own and real ones never
 reach the floor, evidence alone counts.
 """
