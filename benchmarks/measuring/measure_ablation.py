@@ -28,9 +28,9 @@ from labhil.campaign.trials.answer import Answer
 from labhil.campaign.trials.folder import recording
 from labhil.campaign.trials.judge import SURE_GAIN
 from labhil.campaign.trials.make import Order, make_trials
-from labhil.diagnose.diagnosis import data_of, fit_baseline
+from labhil.diagnose.begin import data_of, fit_baseline
 from labhil.diagnose.found import Found
-from labhil.diagnose.structures import disturbance, responses, search
+from labhil.diagnose.structures import disturbance, responses, search, stages
 from labhil.diagnose.structures import enumerate as beam
 from labhil.identify.problem import Problem
 from labhil.physics.model import terms_named
@@ -57,7 +57,7 @@ VARIANTS: dict[str, tuple[search.Options, tuple[Part, ...]]] = {
     ),
     "noise as differences of samples, white": (
         search.Options(),
-        ((search, "_in_noise_beside", _noise_as_left),),
+        ((stages, "_in_noise_beside", _noise_as_left),),
     ),
     "rounding as independent noise": (
         search.Options(),
@@ -81,14 +81,14 @@ VARIANTS: dict[str, tuple[search.Options, tuple[Part, ...]]] = {
     "held-out data not asked": (
         search.Options(),
         (
-            (search, "borne_out", lambda stage, found: found),
-            (search, "predicts_better", lambda before, after: True),
+            (stages, "borne_out", lambda stage, found: found),
+            (stages, "predicts_better", lambda before, after: True),
         ),
     ),
     "short windows only": (search.Options(horizons=(0.375,)), ()),
     "no curves": (
         search.Options(),
-        ((search, "_with_curve", lambda data, found, *rest: found),),
+        ((stages, "_with_curve", lambda data, found, *rest: found),),
     ),
 }
 """Each with its options, and what stands in the place of what: of an object, an attribute, by another."""
@@ -120,7 +120,7 @@ def searched(folder: Path, name: str, baseline: tuple[str, ...], options: search
     material = load_material(recording(folder, name, "search"), test_path=recording(folder, name, "test"))
     data = data_of(material.model, material.learn, material.judge)
     base = fit_baseline(data, [term.key for term in terms_named(material.model, baseline)])
-    return search.search_structures(data, base, lambda text: None, options)
+    return stages.search_structures(data, base, lambda text: None, options)
 
 
 def is_right(found: Found, answer: Answer) -> bool:

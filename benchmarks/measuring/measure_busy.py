@@ -4,7 +4,7 @@
 
 Each run records several rigs at once beside ``--busy`` processes that only compute: twins whose terms are
 exactly the baseline. Then the machine is left alone, and what each device sent is diagnosed with that
-baseline by each method: whatever is named is an invention of stamps and load. ``--recordings FOLDER``
+baseline: whatever is named is an invention of stamps and load. ``--recordings FOLDER``
 diagnoses what an earlier call has kept.
 """
 
@@ -25,7 +25,6 @@ import numpy as np
 
 from labhil.analysis.material import load_material
 from labhil.analysis.study import diagnose_study
-from labhil.diagnose.diagnosis import METHODS
 from labhil.errors import LabhilError
 from labhil.experiment.experiment import parse_experiment
 from labhil.experiment.run import run_experiment
@@ -112,7 +111,7 @@ def record(seed: int, options: argparse.Namespace, folder: Path) -> None:
 
 
 def examine(path: Path, device: str) -> dict[str, Any]:
-    """Say what the clocks of one device's samples show, and what each method names."""
+    """Say what the clocks of one device's samples show, and what a diagnosis names."""
     recording = read_recording(path)
     data = next(each for each in recording.streams if each.device == device and each.stream.name == "state")
     clock = data.clock
@@ -132,16 +131,15 @@ def examine(path: Path, device: str) -> dict[str, Any]:
         material = load_material(path, device=device)
     except LabhilError as error:  # the run ended before there was enough to learn from
         return {**found, "refused": str(error)}
-    for method in METHODS:
-        began = time.monotonic()
-        result = diagnose_study(material, baseline=TERMS, method=method).json
-        found[method] = {
-            "verdict": result["verdict"],
-            "missing": [one["term"] for one in result["missing"]],
-            "p_value": result["p_value"],
-            "took_s": round(time.monotonic() - began, 1),
-        }
-    return found
+    began = time.monotonic()
+    result = diagnose_study(material, baseline=TERMS).json
+    return {
+        **found,
+        "verdict": result["verdict"],
+        "missing": [one["term"] for one in result["missing"]],
+        "p_value": result["p_value"],
+        "took_s": round(time.monotonic() - began, 1),
+    }
 
 
 def main() -> None:
@@ -172,14 +170,14 @@ def main() -> None:
                     print(found, file=sys.stderr, flush=True)
                     (refused if "refused" in found else runs).append(found)
     result = {
-        "schema": "labhil.busy/2",
+        "schema": "labhil.busy/3",
         "busy": options.busy,
         "seeds": [options.first, options.first + options.repeat - 1],
         "speed": options.speed,
         "runs_ended_early": len({each["recording"] for each in (*runs, *refused) if each["run"] != "done"}),
         "diagnosed": len(runs),
-        "named_something": {method: sum(bool(run[method]["missing"]) for run in runs) for method in METHODS},
-        "verdicts": {method: sorted(run[method]["verdict"] for run in runs) for method in METHODS},
+        "named_something": sum(bool(run["missing"]) for run in runs),
+        "verdicts": sorted(run["verdict"] for run in runs),
         "runs": runs,
         "too_short": refused,
     }

@@ -11,8 +11,7 @@ import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from labhil.diagnose.evidence import bic, effective_samples
-from labhil.diagnose.judge import NEEDED_BIC, Data
+from labhil.diagnose.judge import Data
 from labhil.identify.fitted import Fitted, covariances, fit_terms
 from labhil.identify.identifiability import weak_parameters
 from labhil.physics.model import Model
@@ -85,12 +84,3 @@ def kept_near(model: Model, sizes: Sequence[Collapsed]) -> Model:
     )
     other.__dict__["parameters"] = parameters
     return other
-
-
-def needed(data: Data, baseline: Fitted, kept: Fitted) -> bool:
-    """Whether the searched data speak very strongly for the sizes that gave way.
-
-    Else they hardly know them: another value does as well, and nothing collapsed.
-    """
-    effective = min(effective_samples(baseline), effective_samples(kept))
-    return bic(baseline, effective) - bic(kept, effective) < NEEDED_BIC

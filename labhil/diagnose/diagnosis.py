@@ -13,41 +13,32 @@ from scipy import stats
 from labhil.diagnose import telling
 from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.answer import Change, Diagnosis, Undecided
-from labhil.diagnose.collapsed import given_way, kept_near, needed
+from labhil.diagnose.begin import baseline_of, data_of, fit_baseline
+from labhil.diagnose.collapsed import given_way, kept_near
 from labhil.diagnose.conclude import Concluded, conclude
-from labhil.diagnose.evidence import bic, effective_samples
+from labhil.diagnose.evidence import effective_samples
 from labhil.diagnose.found import Found
 from labhil.diagnose.intake import Fault, usable
 from labhil.diagnose.joint_curves import strongest
-from labhil.diagnose.judge import NEEDED_BIC, TOGETHER, Data
+from labhil.diagnose.judge import TOGETHER, Data, far_likelier
 from labhil.diagnose.load import with_load
 from labhil.diagnose.minor import without_minor
 from labhil.diagnose.refit import on_windows
 from labhil.diagnose.remainder import find_remainder
-from labhil.diagnose.rest import left_by, unexplained
-from labhil.diagnose.structures.search import search_structures
+from labhil.diagnose.rest import left_by
+from labhil.diagnose.structures.stages import search_structures
 from labhil.diagnose.timing import all_faults
 from labhil.diagnose.unmodelled import Unmodelled
-from labhil.diagnose.wider import adds_beyond_doubt, goes_elsewhere, searched_and_kept
+from labhil.diagnose.wider import looked_wider
 from labhil.ending import EndedEarly, accept
-from labhil.identify.fitted import Fitted, climb, fit_briefly, start_theta
-from labhil.identify.noise import lasting_noise
-from labhil.identify.score import Score, score, with_forces
+from labhil.identify.fitted import Fitted
+from labhil.identify.score import score, with_forces
 from labhil.identify.statistics import Estimate, stated, with_error
 from labhil.identify.table import table_of
-from labhil.identify.windows import noise_of, told_apart
 from labhil.physics.model import Model, Record, index_of, terms_named
 from labhil.physics.terms import Parameter, keyed, unkeyed
-from labhil.signals import FloatArray
 
-SEARCH_WINDOW_IN_HORIZONS = 0.375
-FIRST_WINDOW_IN_HORIZONS = 0.1875
 FALSE_ALARM = 5e-4
-SHOWN = 1.1
-"""RMSE over the noise floor, on held-out data, that asks for a wider search."""
-
-LASTS = 1.1
-"""Factor by which noise as the baseline leaves it must differ from that of single samples to count."""
 
 
 def diagnose(
@@ -73,7 +64,7 @@ def diagnose(
     data = data_of(model, searched, held_out, reference)
     progress(f"fitting the baseline: {', '.join(baseline)}")
     terms = [term.key for term in terms_named(model, baseline)]
-    data, base, ended_early = _baseline(data, terms)
+    data, base, ended_early = baseline_of(data, terms)
     whole = data.search if measured is None else measured
     faults = all_faults(model, whole)
     refused = _refused(data, whole, faults, ended_early)
@@ -151,20 +142,6 @@ def _names(found: Found, curves: Sequence[Unmodelled]) -> list[str]:
     return [*(step.terms[0] for step in found.missing), *over]
 
 
-def _baseline(data: Data, terms: Sequence[str]) -> tuple[Data, Fitted, bool]:
-    """The data and the baseline in units of its noise, and whether that was ended early."""
-    base: Fitted | None = None
-    try:
-        base = fit_baseline(data, terms)
-        return *_with_lasting_noise(data, base), False
-    except EndedEarly:
-        accept()
-    if base is None:
-        window, begin = data.window, data.begin
-        base = fit_briefly(data.model, data.search, terms, window, data.sigma, begin, fresh=True)
-    return data, base, True
-
-
 def _concluded(
     data: Data,
     found: Found,
@@ -174,7 +151,7 @@ def _concluded(
     """The end of a diagnosis; of one that is ended early, what its first search found."""
     try:
         if found.complete:
-            data, found, left = _looked_wider(data, found, look, progress)
+            data, found, left = looked_wider(data, found, look, progress)
             # sizes that were kept near nominal stay there
             data = replace(data, model=found.final.problem.model)
             return conclude(data, found, left, progress)
@@ -225,14 +202,14 @@ def _with_credible_sizes(data: Data, found: Found, progress: Callable[[str], Non
     baseline = fit_baseline(near, found.baseline.terms)
     # on the windows that the first search ended on
     short = fit_baseline(data, found.baseline.terms)
-    if not needed(data, short, baseline):
+    if not far_likelier(short, baseline):
         return found
     progress(f"the same with {', '.join(size.key for size in lost)} near nominal")
     found = replace(found, collapsed=lost)
     credible = search_structures(near, baseline, progress)
     if not credible.complete:
         return replace(found, complete=False)
-    if not credible.missing or not _far_likelier(
+    if not credible.missing or not far_likelier(
         credible.final, _onward_like(near, found.final, credible.final)
     ):
         return found
@@ -243,81 +220,6 @@ def _onward_like(data: Data, fitted: Fitted, like: Fitted) -> Fitted:
     """The one fit on the windows of the other."""
     own = replace(data, model=fitted.problem.model, window=like.window)
     return on_windows(own, fitted)
-
-
-def _looked_wider(
-    data: Data, found: Found, look: Callable[[Data, Fitted], Found], progress: Callable[[str], None]
-) -> tuple[Data, Found, FloatArray]:
-    """Data, what was found, and what that leaves: of a wider search where held-out data show something else.
-
-    What that names has to explain them, or to be more than was named first, of data that go elsewhere; else
-    the first answer stays. Where it names nothing, what was named first does not hold on more data, unless
-    these still ask for it.
-    """
-    left = left_by(data, found.final)
-    explained = found.curve is not None
-    shown = not explained and (unexplained(data, left[1]) or _marked(data, found).excess > SHOWN)
-    parts = searched_and_kept(data) if shown else None
-    if parts is None:
-        return data, found, left
-    progress("the held-out data show something else: the search goes on with half of them")
-    searched, kept = parts
-    sigma, test_sigma = noise_of(searched), noise_of(kept)
-    wider = replace(data, search=searched, test=kept, sigma=sigma, test_sigma=test_sigma)
-    wider, base = _with_lasting_noise(wider, fit_baseline(wider, found.baseline.terms))
-    again = look(wider, base)
-    if not again.complete:
-        return data, replace(found, complete=False), left
-    left_then = left_by(wider, again.final)
-    if again.missing:
-        more = goes_elsewhere(data) and adds_beyond_doubt(found.missing, again.missing)
-        firm = more or not unexplained(wider, left_then)
-    else:
-        firm = bool(np.max(left_then) < np.max(left)) and not _still_needed(wider, found, again)
-    return (wider, again, left_then) if firm else (data, found, left)
-
-
-def _still_needed(wider: Data, found: Found, again: Found) -> bool:
-    """Whether what was named first explains more data than it was found on by very strong evidence.
-
-    A baseline that is refitted to half of the held-out data may leave nothing to be seen in the other half.
-    """
-    if not found.missing:
-        return False
-    return _far_likelier(on_windows(replace(wider, window=again.final.window), found.final), again.final)
-
-
-def _marked(data: Data, found: Found) -> Score:
-    """How well what was found foretells the held-out data, on the metric's windows."""
-    theta = found.final.theta
-    noise = lasting_noise(data.model, theta, data.test, noise_of(data.test))
-    return score(data.model, theta, data.test, noise.sigma, lasts=noise.lasts)
-
-
-def data_of(
-    model: Model, searched: Record, held_out: Record, reference: Mapping[str, float] | None = None
-) -> Data:
-    """What a search works on, its fits begun at ``reference`` where there is one."""
-    searched, held_out = told_apart(model, searched), told_apart(model, held_out)
-    window, begin = SEARCH_WINDOW_IN_HORIZONS * model.horizon, start_theta(model, reference)
-    return Data(model, searched, held_out, noise_of(searched), noise_of(held_out), window, begin)
-
-
-def fit_baseline(data: Data, terms: Sequence[str]) -> Fitted:
-    """The baseline on the windows of the search, by way of shorter ones."""
-    lengths = [FIRST_WINDOW_IN_HORIZONS * data.model.horizon, data.window]
-    model, record, sigma, begin = data.model, data.search, data.sigma, data.begin
-    return climb(model, record, terms, lengths, sigma, start=begin, fresh=terms, held=data.held)[-1]
-
-
-def _with_lasting_noise(data: Data, base: Fitted) -> tuple[Data, Fitted]:
-    """The data with noise as the baseline leaves it on short windows, and the baseline in units of that."""
-    seen = lasting_noise(data.model, base.theta, data.search, data.sigma).sigma
-    tested = lasting_noise(data.model, base.theta, data.test, data.test_sigma).sigma
-    if np.all((seen < LASTS * data.sigma) & (LASTS * seen > data.sigma)):
-        return replace(data, test_sigma=tested), base
-    data = replace(data, sigma=seen, test_sigma=tested)
-    return data, fit_baseline(replace(data, begin=base.theta), base.terms)
 
 
 def _sizes(model: Model, reference: Mapping[str, float]) -> frozenset[str]:
@@ -331,13 +233,7 @@ def _simpler(free: Found, held: Found) -> Found:
     Refitted sizes may absorb what is missing: a load at the flange is a change of many inertias. Held ones
     would have missing physics make up for a size that has changed: that account needs very strong evidence.
     """
-    return held if _far_likelier(held.final, free.final) else free
-
-
-def _far_likelier(one: Fitted, other: Fitted) -> bool:
-    """Whether the searched data speak very strongly for one fit over another on the same windows."""
-    effective = min(effective_samples(one), effective_samples(other))
-    return bic(one, effective) - bic(other, effective) < NEEDED_BIC
+    return held if far_likelier(held.final, free.final) else free
 
 
 def _excited(record: Record, sigma: np.ndarray) -> bool:

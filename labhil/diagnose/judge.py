@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from labhil.diagnose.evidence import Evidence
+from labhil.diagnose.evidence import Evidence, bic, effective_samples
+from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score, score
 from labhil.physics.model import Model, Record
 from labhil.signals import FloatArray
@@ -68,3 +69,9 @@ def supported(evidence: Evidence, p_search: float) -> bool:
         return False
     both = -2.0 * (np.log(max(p_search, TRUSTED)) + np.log(max(evidence.p_value, 1e-300)))
     return bool(stats.chi2.sf(both, 4) < TOGETHER)
+
+
+def far_likelier(one: Fitted, other: Fitted) -> bool:
+    """Whether the searched data speak very strongly for one fit over another on the same windows."""
+    effective = min(effective_samples(one), effective_samples(other))
+    return bic(one, effective) - bic(other, effective) < NEEDED_BIC

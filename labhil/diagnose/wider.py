@@ -6,15 +6,23 @@ other parts of that other one then are what the search never sees.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
-from labhil.diagnose.found import Step
-from labhil.diagnose.judge import Data
-from labhil.identify.windows import told_apart
+from labhil.diagnose.begin import fit_baseline, with_lasting_noise
+from labhil.diagnose.found import Found, Step
+from labhil.diagnose.judge import Data, far_likelier
+from labhil.diagnose.refit import on_windows
+from labhil.diagnose.rest import left_by, unexplained
+from labhil.identify.fitted import Fitted
+from labhil.identify.noise import lasting_noise
+from labhil.identify.score import Score, score
+from labhil.identify.windows import noise_of, told_apart
 from labhil.physics.model import Record, joined
+from labhil.signals import FloatArray
 
 PARTS = (4, 2)
 """Into how many the held-out recording is cut, if they are long enough: an effect may act now and then."""
@@ -25,8 +33,43 @@ ELSEWHERE = 0.1
 BEYOND_DOUBT = -50.0
 """ΔBIC that what more data add has to have: what is left of a real rig passes for evidence more easily."""
 
+SHOWN = 1.1
+"""RMSE over the noise floor, on held-out data, that asks for a wider search."""
+
 LONG_ENOUGH = 1.25
 """Horizons in each, at least: half of one before what is scored."""
+
+
+def looked_wider(
+    data: Data, found: Found, look: Callable[[Data, Fitted], Found], progress: Callable[[str], None]
+) -> tuple[Data, Found, FloatArray]:
+    """Data, what was found, and what that leaves: of a wider search where held-out data show something else.
+
+    What that names has to explain them, or to be more than was named first, of data that go elsewhere; else
+    the first answer stays. Where it names nothing, what was named first does not hold on more data, unless
+    these still ask for it.
+    """
+    left = left_by(data, found.final)
+    explained = found.curve is not None
+    shown = not explained and (unexplained(data, left[1]) or _marked(data, found).excess > SHOWN)
+    parts = searched_and_kept(data) if shown else None
+    if parts is None:
+        return data, found, left
+    progress("the held-out data show something else: the search goes on with half of them")
+    searched, kept = parts
+    sigma, test_sigma = noise_of(searched), noise_of(kept)
+    wider = replace(data, search=searched, test=kept, sigma=sigma, test_sigma=test_sigma)
+    wider, base = with_lasting_noise(wider, fit_baseline(wider, found.baseline.terms))
+    again = look(wider, base)
+    if not again.complete:
+        return data, replace(found, complete=False), left
+    left_then = left_by(wider, again.final)
+    if again.missing:
+        more = goes_elsewhere(data) and adds_beyond_doubt(found.missing, again.missing)
+        firm = more or not unexplained(wider, left_then)
+    else:
+        firm = bool(np.max(left_then) < np.max(left)) and not _still_needed(wider, found, again)
+    return (wider, again, left_then) if firm else (data, found, left)
 
 
 def searched_and_kept(data: Data) -> tuple[Record, Record] | None:
@@ -66,3 +109,20 @@ def adds_beyond_doubt(first: Sequence[Step], then: Sequence[Step]) -> bool:
     added = [step for step in then if step.terms[0] not in named]
     kept = named <= {step.terms[0] for step in then}
     return bool(named and added) and kept and all(s.evidence.delta_bic < BEYOND_DOUBT for s in added)
+
+
+def _still_needed(wider: Data, found: Found, again: Found) -> bool:
+    """Whether what was named first explains more data than it was found on by very strong evidence.
+
+    A baseline that is refitted to half of the held-out data may leave nothing to be seen in the other half.
+    """
+    if not found.missing:
+        return False
+    return far_likelier(on_windows(replace(wider, window=again.final.window), found.final), again.final)
+
+
+def _marked(data: Data, found: Found) -> Score:
+    """How well what was found foretells the held-out data, on the metric's windows."""
+    theta = found.final.theta
+    noise = lasting_noise(data.model, theta, data.test, noise_of(data.test))
+    return score(data.model, theta, data.test, noise.sigma, lasts=noise.lasts)

@@ -14,8 +14,9 @@ from one_input_rigs import replay, rig_of, staircase
 
 from labhil.analysis.results import finite
 from labhil.diagnose.accepted import Accepted
+from labhil.diagnose.begin import data_of
 from labhil.diagnose.collapsed import NEAR, given_way, kept_near
-from labhil.diagnose.diagnosis import _changes, data_of, diagnose
+from labhil.diagnose.diagnosis import _changes, diagnose
 from labhil.identify.fitted import fit_terms
 from labhil.identify.statistics import stated
 from labhil.identify.windows import split

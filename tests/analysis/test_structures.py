@@ -9,7 +9,7 @@ import pytest
 from scipy import integrate
 
 from labhil.analysis.material import load_material
-from labhil.diagnose.diagnosis import data_of, fit_baseline
+from labhil.diagnose.begin import data_of, fit_baseline
 from labhil.diagnose.structures.disturbance import Disturbance
 from labhil.diagnose.structures.marginal import (
     KAPPA,
@@ -20,7 +20,7 @@ from labhil.diagnose.structures.marginal import (
     log_evidence,
     promised,
 )  # fmt: skip
-from labhil.diagnose.structures.search import search_structures
+from labhil.diagnose.structures.stages import search_structures
 
 ROOT = Path(__file__).parents[2]
 

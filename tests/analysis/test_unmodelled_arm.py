@@ -13,7 +13,8 @@ import pytest
 
 from labhil.analysis.kept_curve import curves_json, under_kept_curve
 from labhil.analysis.results import diagnosis_json
-from labhil.diagnose.diagnosis import data_of, diagnose, fit_baseline
+from labhil.diagnose.begin import data_of, fit_baseline
+from labhil.diagnose.diagnosis import diagnose
 from labhil.diagnose.found import Found
 from labhil.diagnose.joint_curves import joint_curves
 from labhil.diagnose.judge import Data

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labhil.diagnose.diagnosis import data_of
+from labhil.diagnose.begin import data_of
 from labhil.diagnose.evidence import Evidence
 from labhil.diagnose.found import Step
 from labhil.diagnose.wider import adds_beyond_doubt, goes_elsewhere

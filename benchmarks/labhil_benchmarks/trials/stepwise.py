@@ -16,7 +16,7 @@ import numpy as np
 from scipy import special
 
 from labhil.analysis.material import Material
-from labhil.diagnose.diagnosis import data_of, fit_baseline
+from labhil.diagnose.begin import data_of, fit_baseline
 from labhil.diagnose.judge import Data
 from labhil.diagnose.refit import refit
 from labhil.diagnose.structures.enumerate import candidates

@@ -1,0 +1,110 @@
+"""From short windows to long ones: a search on each, what may be claimed in the end, and a curve."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+
+from labhil.cores import cores
+from labhil.diagnose.collapsed import given_way
+from labhil.diagnose.found import Found
+from labhil.diagnose.judge import Data
+from labhil.diagnose.refit import on_windows
+from labhil.diagnose.structures.claims import Stage, borne_out, concluded, predicts_better
+from labhil.diagnose.structures.curves import CurveSearch
+from labhil.diagnose.structures.disturbance import noise_beside
+from labhil.diagnose.structures.enumerate import candidates
+from labhil.diagnose.structures.search import OUTWEIGHED, Options, Progress, StructureSearch
+from labhil.ending import EndedEarly, accept
+from labhil.identify.fitted import Fitted, fit_terms
+from labhil.identify.noise import MOST
+from labhil.identify.windows import noise_of
+from labhil.physics.extra_force import Yielding
+from labhil.signals import FloatArray
+
+CURVE_WINDOW = 1.5
+"""Scored horizons of the windows on which curves are weighed: on longer ones few are linear enough."""
+
+
+def search_structures(
+    data: Data, baseline: Fitted, progress: Progress, options: Options | None = None
+) -> Found:
+    """Find the likeliest terms beside a fitted baseline, by one evidence."""
+    options = options or Options()
+    data, correlation = _in_noise_beside(data, baseline)
+    finished: list[Stage] = []
+    complete = True
+    try:
+        nominal = {size.key: size.nominal for size in given_way(data, baseline)}
+        with ThreadPoolExecutor(cores()) as executor:
+            for length in _lengths(data, options):
+                begin = [baseline]
+                if finished:
+                    begin = finished[-1].leading
+                    data, correlation = _in_noise_beside(data, finished[-1].best)
+                stage = replace(data, window=length)
+                begin = [on_windows(stage, fitted) for fitted in begin]
+                search = StructureSearch(
+                    stage, baseline.terms, correlation, executor, progress, options, nominal
+                )
+                finished.append(Stage(stage, search.run(begin)))
+                if finished[-1].best.noise > OUTWEIGHED:
+                    break
+    except EndedEarly:
+        accept()
+        complete = False
+    looks = len(candidates(data.model, baseline.terms))
+    if not finished:
+        return Found(baseline, baseline, (), (), 1.0, looks, complete=False)
+    found = replace(concluded(finished[-1], options.claim, looks), complete=complete)
+    if found.missing and not predicts_better(*(data.judge(f.theta) for f in (found.baseline, found.final))):
+        found = found.nothing
+    found = borne_out(finished[-1], found)
+    return _with_curve(data, found, finished[-1].data.window, correlation, progress) if complete else found
+
+
+def _lengths(data: Data, options: Options) -> list[float]:
+    """Length (s) of the windows of each stage; inverse dynamics has no windows and one stage."""
+    if not data.model.state_names:
+        return [data.window]
+    return list(dict.fromkeys(min(h * data.model.horizon, data.search.longest) for h in options.horizons))
+
+
+def _in_noise_beside(data: Data, fitted: Fitted) -> tuple[Data, FloatArray]:
+    """The data in units of the noise beside what a fit lacks, and the noise's correlation (c,)."""
+    if not data.model.state_names:
+        return data, np.zeros(len(data.sigma))
+    noise = noise_beside(fitted.problem, fitted.solution.residuals)
+    least = noise_of(data.search)
+    return replace(data, sigma=np.clip(noise.sigma, least, MOST * least)), noise.correlation
+
+
+def _with_curve(
+    data: Data, found: Found, longest: float, correlation: FloatArray, progress: Progress
+) -> Found:
+    """What is named beside the likeliest curve, and that; all that is named where no curve is likelier."""
+    model = data.model
+    if not isinstance(model, Yielding) or not model.state_names:
+        return found
+    progress("a force over each coordinate in turn, instead of what is named and beside it")
+    shorter = replace(data, window=min(CURVE_WINDOW * model.horizon, longest))
+    curve = CurveSearch(shorter, found.baseline.terms, correlation).run(on_windows(shorter, found.final))
+    if curve is None:
+        return found
+    extended = replace(data, model=curve.curved.model)
+    if not predicts_better(data.judge(found.final.theta), extended.judge(curve.curved.fitted.theta)):
+        return found
+    steps = tuple(step for step in found.missing if step.terms[0] in curve.beside.terms)
+    return replace(found.ending(_unplaced(shorter, curve.beside), steps), curve=curve)
+
+
+def _unplaced(data: Data, beside: Fitted) -> Fitted:
+    """The fit beside a curve, of the model that other results are of."""
+    if len(beside.problem.model.state_names) == len(data.model.state_names):
+        return beside
+    return fit_terms(
+        data.model, data.search, beside.terms, data.window, data.sigma, start=beside.theta, starts=[{}],
+        held=data.held,
+    )  # fmt: skip
