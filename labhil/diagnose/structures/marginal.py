@@ -218,11 +218,11 @@ def _with_one_more(
     for kappa in KAPPA:
         prior = _lifted(own / kappa**2)
         system = _lifted(complement + prior)
-        inverse = np.asarray(np.linalg.inv(system), dtype=np.float64)
+        inverse, log_det = _inverse_and_log_det(system)
         sizes = np.asarray(-np.einsum("svwu,svu->svw", inverse, pull))
         left = solved.rest[:, None] + np.einsum("svw,svw->sv", sizes, pull)
         rest = np.asarray(np.maximum(left, 1e-12 * seen[0, 0]), dtype=np.float64)
-        occam = 0.5 * (np.linalg.slogdet(prior)[1] - np.linalg.slogdet(system)[1])
+        occam = 0.5 * (_inverse_and_log_det(prior)[1] - log_det)
         signs = _signs(sizes, inverse, rest, positive, grams.dof)
         gain = 0.5 * grams.dof * (np.log(solved.rest)[:, None] - np.log(rest))
         best = np.maximum(best, occam + signs + gain)
@@ -260,15 +260,22 @@ def _under(grams: Grams, t: int, batch: Batch) -> Solved:
     kappa = _nearest(np.sqrt(np.maximum(energy, 0.0) / grams.samples))
     prior = _lifted(unit / (kappa[:, :, None] * kappa[:, None, :]))
     system = _lifted(gram + prior)
-    inverse = np.asarray(np.linalg.inv(system), dtype=np.float64)
+    inverse, log_det = _inverse_and_log_det(system)
     sizes = np.asarray(-np.einsum("sij,sj->si", inverse, pull))
     left = total + np.einsum("si,si->s", sizes, pull)
     rest = np.asarray(np.maximum(left, 1e-12 * total), dtype=np.float64)
-    occam = 0.5 * (np.linalg.slogdet(prior)[1] - np.linalg.slogdet(system)[1])
+    occam = 0.5 * (_inverse_and_log_det(prior)[1] - log_det)
     signs = _signs(sizes, inverse, rest, batch.positive, grams.dof)
     blocks = batch.block.max(axis=1) + 1
     logs = grams.log_weight[t] + occam + signs - blocks * np.log(len(KAPPA)) - 0.5 * grams.dof * np.log(rest)
     return Solved(logs, sizes, inverse, rest)
+
+
+def _inverse_and_log_det(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Inverses (…, k, k) and log determinants (…) of positive definite matrices; a number needs no LAPACK."""
+    if matrices.shape[-1] == 1:
+        return 1.0 / matrices, np.log(np.maximum(matrices[..., 0, 0], 1e-300))
+    return np.asarray(np.linalg.inv(matrices), dtype=np.float64), np.asarray(np.linalg.slogdet(matrices)[1])
 
 
 def _signs(
