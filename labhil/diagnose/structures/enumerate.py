@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import chain, combinations, product
+from itertools import chain, combinations
 from math import comb, inf, log
 from typing import Protocol
 
@@ -25,8 +25,9 @@ RELEVANCE = 1.0
 """What a term or a curve explains over what no term does, at least. An effect that is smaller than what is
 missing beside it cannot be told from that."""
 
-PROMISING = 2
-"""Structures that are weighed exactly, over the width of the beam: what an addition promises is nearly so."""
+PROMISING, LOOKED_AT = 2, 8
+"""Structures that are weighed exactly, and additions whose priors are looked at, over the width of the beam:
+what an addition promises is nearly what it gives."""
 
 Choice = tuple[Variant, ...]
 """A structure with the way in which each of its terms acts."""
@@ -285,24 +286,38 @@ class Enumeration:
     def _promised(
         self, choices: Sequence[Choice], added: Sequence[Choice]
     ) -> Iterator[tuple[Choice, Choice, FloatArray]]:
-        """Choices of one number of responses, additions that fit them, and both promises of log evidence."""
+        """Choices of one number of responses with additions that fit them, and both promises of evidence."""
         batch = _batch(choices, _width(choices[0]))
-        terms = [frozenset(v.term for v in choice) for choice in choices]
         for width in sorted({_width(more) for more in added}):
             same = [more for more in added if _width(more) == width]
             places = np.array([[p for v in more for p in v.places] for more in same], dtype=np.int64)
             positive = np.array([[s for v in more for s in v.positive] for more in same], dtype=bool)
             logs = np.stack(promised(self.responses.grams, batch, places, positive), axis=-1)
-            for i, j in product(range(len(choices)), range(len(same))):
-                if self._fits(terms[i], same[j]):
-                    prior = self._log_prior((*choices[i], *same[j]))
-                    yield choices[i], same[j], logs[i, j] + prior
+            logs[~self._fits(choices, same)] = -np.inf
+            for i, j in _foremost(logs, LOOKED_AT * self.options.width):
+                yield choices[i], same[j], logs[i, j] + self._log_prior((*choices[i], *same[j]))
 
-    def _fits(self, terms: Structure, more: Choice) -> bool:
-        """Whether an addition is what a structure lacks for one more term."""
-        new = more[-1].term
-        carried = {t for t in self.model.terms[new].with_terms if t not in terms | self.baseline}
-        return new not in terms and {v.term for v in more[:-1]} == carried
+    def _fits(self, choices: Sequence[Choice], added: Sequence[Choice]) -> BoolArray:
+        """Whether each addition is what each structure lacks for one more term, (S, V)."""
+        terms = [frozenset(v.term for v in choice) | self.baseline for choice in choices]
+        fits = np.empty((len(choices), len(added)), dtype=bool)
+        for j, more in enumerate(added):
+            new, brought = more[-1].term, {v.term for v in more[:-1]}
+            carried = self.model.terms[new].with_terms
+            fits[:, j] = [new not in own and {t for t in carried if t not in own} == brought for own in terms]
+        return fits
+
+
+def _foremost(logs: FloatArray, most: int) -> list[tuple[int, int]]:
+    """Places of the so many largest of logs (S, V, K), for each of the K kinds."""
+    found = dict[tuple[int, int], None]()
+    for kind in range(logs.shape[-1]):
+        flat = logs[..., kind].ravel()
+        first = np.argpartition(-flat, min(most, len(flat)) - 1)[:most]
+        for place in first[np.isfinite(flat[first])]:
+            i, j = divmod(int(place), logs.shape[1])
+            found[i, j] = None
+    return list(found)
 
 
 def _width(choice: Choice) -> int:
