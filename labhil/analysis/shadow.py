@@ -41,11 +41,22 @@ QUANTILE = 0.999
 NORMAL = 3.29
 """The same of noise alone; no band is narrower."""
 
-CALM_IN_HORIZONS = 1.0
-"""How long residuals have to be back within the band until the model agrees again."""
+CALM_IN_HORIZONS = 2.0
+"""How long residuals have to be back within the band until the model agrees again; a rig that comes by the
+same place once in a while is to leave it once.
+"""
+
+SHORTEST_CALM = 5.0
+"""The same in s, of a quick rig."""
 
 LONGEST_STEP = 5.0
 """Periods between two samples from which on the motion between them is not known."""
+
+LONGEST_WAIT = 10.0
+"""How far back samples are kept while too little happens to begin, s."""
+
+INVERSE_HORIZON = 2.0
+"""Of a rig whose metric is inverse dynamics, which has none, s."""
 
 MOST_BEHIND = 3.0
 """Stretches that may wait; older samples are dropped, and counted."""
@@ -88,6 +99,8 @@ class Shadow:
         """Of each output, once the first stretch was simulated."""
         self.dropped = 0.0
         """Seconds that were not simulated, since the work was too slow or samples were missing."""
+        self.unjudged = ""
+        """Why the newest stretch says nothing, as of an arm at rest; empty where it does."""
         self.gaps = 0
         """How often samples were missing, so that the model began anew."""
 
@@ -137,6 +150,9 @@ class Shadow:
         if len(self._t) < 2 * FEWEST_SAMPLES:
             return None
         horizon = self._of_metric()
+        if horizon is None:
+            self._forget(self._t[-1] - LONGEST_WAIT)
+            return None
         length, lead = self._lengths(horizon)
         if self._next is None:
             self._next = float(self._t[0]) + lead
@@ -149,12 +165,16 @@ class Shadow:
             return None
         begin, end = self._next, self._next + length
         self._next = end
+        self.unjudged = ""
         used = (self._t >= begin - lead - PAST_IN_HORIZONS * horizon) & (self._t < end)
         found = self._simulate(self._t[used], self._values[used], begin, lead)
-        kept = self._t >= end - lead - PAST_IN_HORIZONS * horizon
-        self._t, self._values = self._t[kept], self._values[kept]
-        self._follow(found, CALM_IN_HORIZONS * horizon)
+        self._forget(end - lead - PAST_IN_HORIZONS * horizon)
+        self._follow(found, max(CALM_IN_HORIZONS * horizon, SHORTEST_CALM))
         return found
+
+    def _forget(self, before: float) -> None:
+        kept = self._t >= before
+        self._t, self._values = self._t[kept], self._values[kept]
 
     def _lengths(self, horizon: float) -> tuple[float, float]:
         """Of a stretch and of its lead-in, s; both have samples enough."""
@@ -162,14 +182,17 @@ class Shadow:
         length = max(STRETCH_IN_HORIZONS * horizon, 0.5 * FEWEST_SAMPLES * period)
         return length, max(LEAD_IN_HORIZONS * horizon, (FEWEST_SAMPLES + 1) * period)
 
-    def _of_metric(self) -> float:
-        """The horizon of the rig's metric with the model's values, s."""
+    def _of_metric(self) -> float | None:
+        """The horizon of the rig's metric with the model's values, s; None while too little happens."""
         if self._horizon is None:
-            stated = self._rig.metric.horizon
-            model, _, theta = model_on(self._record(self._t, self._values), self._rig, self._saved)
-            self._horizon = stated or model.horizon_at(theta)
-            if model.metric is Metric.INVERSE_DYNAMICS and not stated:
-                self._horizon = INVERSE_HORIZON
+            measured, stated = self._record(self._t, self._values), self._rig.metric.horizon
+            try:
+                model, _, theta = model_on(measured, self._rig, self._saved)
+            except RecordingError as error:
+                self.unjudged = str(error)
+                return None
+            own = INVERSE_HORIZON if model.metric is Metric.INVERSE_DYNAMICS else model.horizon_at(theta)
+            self._horizon = stated or own
         return self._horizon
 
     def _record(self, t: FloatArray, values: FloatArray) -> Record:
@@ -184,6 +207,15 @@ class Shadow:
 
     def _simulate(self, t: FloatArray, values: FloatArray, begin: float, lead: float) -> Stretch:
         measured = self._record(t, values)
+        try:
+            return self._scored(measured, begin, lead)
+        except RecordingError as error:  # too little happens to say anything of it
+            self.unjudged = str(error)
+            names = tuple(keyed(*measured.channel(j)) for j in range(len(measured.output_names)))
+            nothing = np.empty((0, len(names)))
+            return Stretch(np.empty(0), nothing, noise_of(measured), names, measured.output_units)
+
+    def _scored(self, measured: Record, begin: float, lead: float) -> Stretch:
         model, record, theta = model_on(measured, self._rig, self._saved)
         first, middle = (int(np.searchsorted(record.t, at)) for at in (begin - lead, begin))
         windows = ScoredWindows(
@@ -212,10 +244,6 @@ class Shadow:
         )
 
 
-INVERSE_HORIZON = 2.0
-"""Of a rig whose metric is inverse dynamics, which has none, s."""
-
-
 def validated_bands(
     saved: Reference, rig: RigFile, stream: Stream, t: FloatArray, values: FloatArray
 ) -> tuple[float, ...] | None:
@@ -239,7 +267,7 @@ def validated_bands(
         shadow.take(t[rows], values[rows])
         while (found := shadow.step()) is not None:
             sizes.append(np.abs(found.residuals))
-    if not sizes:
+    if sum(map(len, sizes)) < FEWEST_SAMPLES:
         return None
     quantiles = np.quantile(np.nan_to_num(np.vstack(sizes), nan=np.inf), QUANTILE, axis=0, method="higher")
     return tuple(FLOOR_KNOWN_TO * max(NORMAL, float(q)) for q in quantiles)

@@ -42,8 +42,8 @@ class LivePane(Horizontal):
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("p", "freeze", "Freeze", id="live.freeze", tooltip="Hold the picture still, to look around"),
-        Binding("full_stop", "window(1)", "Longer", id="live.longer", tooltip="Show more of the past"),
-        Binding("comma", "window(-1)", "Shorter", id="live.shorter", tooltip="Show less of the past"),
+        Binding("full_stop", "window(1)", "More", id="live.longer", tooltip="Show more of the past"),
+        Binding("comma", "window(-1)", "Less", id="live.shorter", tooltip="Show less of the past"),
         Binding("y", "rescale", "Fit y", id="live.rescale", tooltip="Limits from what is shown now"),
         Binding("k", "replay('toggle')", "Pause", id="replay.pause", tooltip="Hold the replay, or go on"),
         Binding("greater_than_sign", "replay('speed', 1)", "Faster", id="replay.faster", show=False),

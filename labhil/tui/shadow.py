@@ -102,8 +102,9 @@ class ShadowView(Vertical):
         if state is None or not self.is_attached:
             return
         colours, now_ns = self.app.theme_variables, labs.clock_ns() + state.ahead_ns
-        rows = state.rows(colours, now_ns)[:MOST_SHOWN]
-        said = Text("\n").join([state.title(colours, now_ns), *rows])
+        rows = state.rows(colours, now_ns, wide=self._is_wide)[:MOST_SHOWN]
+        line_end = Text("\n", no_wrap=True, overflow="ellipsis")
+        said = line_end.join([state.title(colours, now_ns), *rows])
         if said != self._said:
             changed = len(said.plain.splitlines()) != len(self._said.plain.splitlines())
             self._said = said
@@ -114,13 +115,17 @@ class ShadowView(Vertical):
             worst = max(state.outputs.values(), key=lambda output: output.beyond)
             self._draw_residual(chart, worst, window, now_ns)
 
+    @property
+    def _is_wide(self) -> bool:
+        return self.size.width >= ROOM_FOR_ORIGIN
+
     def _draw_residual(self, chart: Chart, output: Output, window: float, now_ns: int) -> None:
         colours = self.app.theme_variables
         ago, residual = output.residual(now_ns)
         shown = ago >= -window
         ago, residual = ago[shown], residual[shown]
-        largest = float(np.nanmax(np.abs(residual), initial=0.0)) if len(residual) else 0.0
-        limit = max(1.3 * output.band, 1.1 * largest)
+        low, high = float(np.nanmin(residual, initial=0.0)), float(np.nanmax(residual, initial=0.0))
+        limits = (min(-1.3 * output.band, 1.1 * low), max(1.3 * output.band, 1.1 * high))
         colour = "curve-1" if output.left_at is None else "curve-4"
         edges = [
             Curve(np.array([-window, 0.0]), np.full(2, side * output.band), "muted", Pen.DASHED)
@@ -130,6 +135,6 @@ class ShadowView(Vertical):
         title = Text(no_wrap=True, overflow="ellipsis")
         title.append(f"residual of {output.name}", style=f"bold {colours[colour]}")
         title.append(", noise levels   ╍╍ band", style=colours["muted"])
-        if self.state is not None and self.size.width >= ROOM_FOR_ORIGIN:
+        if self.state is not None and self._is_wide:
             title.append(f", {self.state.about()}", style=colours["muted"])
-        chart.show(title, [curve, *edges], (-window, 0.0), (-limit, limit))
+        chart.show(title, [*edges, curve], (-window, 0.0), limits)

@@ -58,6 +58,7 @@ class ShadowState:
     model: str
     validated: str | None = None
     failed: str = ""
+    unjudged: str = ""
     until: float = 0.0
     dropped: float = 0.0
     gaps: int = 0
@@ -72,7 +73,10 @@ class ShadowState:
             self.failed = self.failed or str(line["complaint"] or "the process that simulates has ended")
         elif "validated" in line:
             self.validated = str(line["validated"])
+        elif "unjudged" in line:
+            self.unjudged = str(line["unjudged"])
         elif "outputs" in line:
+            self.unjudged = ""
             self.until, self.dropped = float(line["until"]), float(line["dropped"])
             self.gaps, self.ahead_ns = int(line["gaps"]), int(line["ahead_ns"])
             for each in line["outputs"]:
@@ -119,31 +123,36 @@ class ShadowState:
             line.append("✕ has left", style=f"bold {colours['error']}")
             line.append(f" until {self.until:.1f} s", style=colours["muted"])
         silence = self.silence(now_ns)
-        if silence is not None:
+        if self.unjudged:
+            line.append(f"  – not judged: {self.unjudged}", style=colours["warning"])
+        elif silence is not None:
             line.append(f"  ◌ no samples for {duration(silence)}", style=f"bold {colours['warning']}")
         if self.dropped >= 0.1:
             line.append(f"  ! {self.dropped:.1f} s not simulated", style=f"bold {colours['warning']}")
         return line
 
-    def rows(self, colours: Mapping[str, str], now_ns: int) -> list[Text]:
+    def rows(self, colours: Mapping[str, str], now_ns: int, *, wide: bool = True) -> list[Text]:
         """A line for each output: it agrees, or since when it does not and how far it is beyond."""
-        return [self._row(output, colours, now_ns) for output in self.outputs.values()]
-
-    def _row(self, output: Output, colours: Mapping[str, str], now_ns: int) -> Text:
-        line = Text(no_wrap=True, overflow="ellipsis")
-        line.append(f"  {output.name} ", style="bold")
-        if output.left_at is None:
-            line.append("agrees", style=colours["success"])
-        else:
-            line.append(f"left at {output.left_at:.1f} s", style=f"bold {colours['error']}")
-            if output.left_ns is not None:
-                line.append(f", {duration(max(0.0, (now_ns - output.left_ns) * 1e-9))} ago")
-            line.append(f": × {output.beyond:.1f} noise levels beyond" if output.beyond else ": back within")
-        line.append(f"  ± {output.band:.1f} × {output.noise:.2g} {output.unit}", style=colours["muted"])
-        return line
+        return [_row(output, colours, now_ns, wide=wide) for output in self.outputs.values()]
 
     def about(self) -> str:
         """What the band is made of."""
         if self.validated is None:
             return ""
         return f"99.9 % of its errors on {self.validated}" if self.validated else "99.9 % of noise"
+
+
+def _row(output: Output, colours: Mapping[str, str], now_ns: int, *, wide: bool) -> Text:
+    """One output; its band is left out where there is no room for it."""
+    line = Text(no_wrap=True, overflow="ellipsis")
+    line.append(f"  {output.name} ", style="bold")
+    if output.left_at is None:
+        line.append("agrees", style=colours["success"])
+    else:
+        line.append(f"left at {output.left_at:.1f} s", style=f"bold {colours['error']}")
+        if output.left_ns is not None:
+            line.append(f", {duration(max(0.0, (now_ns - output.left_ns) * 1e-9))} ago")
+        line.append(f": × {output.beyond:.1f} noise levels beyond" if output.beyond else ": back within")
+    if wide or output.left_at is None:
+        line.append(f"  ± {output.band:.1f} × {output.noise:.2g} {output.unit}", style=colours["muted"])
+    return line

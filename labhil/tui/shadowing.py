@@ -100,6 +100,9 @@ class Following:
         self._last = int(t_hw[-1])
         self._shadow.take(np.asarray((t_hw[new] - self._begin) * 1e-9, dtype=np.float64), values[new])
         while (found := self._shadow.step()) is not None:
+            if not len(found.t):
+                say({"unjudged": self._shadow.unjudged})
+                continue
             t_acq, t_hw, _ = watched.ring.newest(KEPT)
             self._tell(found, t_hw, t_acq, watched)
 

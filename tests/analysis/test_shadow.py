@@ -1,23 +1,27 @@
-"""The shadow: an accepted model along the samples of a twin that is the model, and of one that is more."""
+"""The shadow: an accepted model along the samples of a world that is the model, and of one that is more.
+
+The world is that of the twin, without its wire; tests/tui/test_shadow.py has the twin itself.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-import labhil as lh
 from labhil.analysis.agreement import Agreement, leaves
 from labhil.analysis.material import rig_of
 from labhil.analysis.shadow import Shadow, Stretch, validated_bands
+from labhil.plants.ball_beam import BallBeamPlant
 from labhil.recording.reader import StreamData, read_recording
+from labhil.signals import FloatArray
 
 ROOT = Path(__file__).parents[2]
 MODEL = ROOT / "examples" / "fit.json"
 VALIDATED = ROOT / "recordings" / "ball_beam_test.mcap"
-RIG = ROOT / "recordings" / "ball_beam.toml"
 PHYSICS = {
     "viscous_friction.coefficient": 0.26,
     "coulomb_friction.level": 0.09,
@@ -29,19 +33,25 @@ PHYSICS = {
 CONCEALED = {"constant_force.force": 0.05}
 
 
-def played(folder: Path, seed: int, duration: float, more: Mapping[str, float]) -> StreamData:
-    """Record a twin with the physics of the model, and more."""
-    values = PHYSICS | more
-    terms = list(dict.fromkeys(name.partition(".")[0] for name in values))
-    twin = {"speed": 20.0, "seed": seed, "terms": terms, "set": values}
-    step = {
-        "device": "bench", "signal": "servo_angle", "excitation": "two_sine", "frequencies": [0.26, 0.37],
-        "amplitude": 0.6, "duration": duration,
-        "stabilise": {"on": "ball_position", "kp": 7.0, "kd": 3.0},
-    }  # fmt: skip
-    bench = {"plugin": "ball_beam", "address": "twin", "rig": str(RIG), "twin": twin}
-    experiment = lh.Experiment(f"shadow-{seed}", devices={"bench": bench}, steps=[step], seed=seed)
-    return main_stream(Path(experiment.run(folder).file.path))
+@dataclass(frozen=True)
+class Played:
+    """What a twin's board sends: times (n,) s, and ball position (m) and servo angle (rad), (n, 2)."""
+
+    t: FloatArray
+    values: FloatArray
+
+
+def played(seed: int, duration: float, more: Mapping[str, float]) -> Played:
+    """Drive the world of the twin, which has the physics of the model and more, around the middle."""
+    world = PHYSICS | more
+    plant = BallBeamPlant(world, dict.fromkeys(name.partition(".")[0] for name in world), seed)
+    t = plant.period * np.arange(round(duration / plant.period), dtype=np.float64)
+    wanted = 0.6 * (np.sin(2 * np.pi * 0.26 * t) + np.sin(2 * np.pi * 0.37 * t))
+    rows = []
+    for angle in wanted:
+        applied = float(np.clip(angle - 7.0 * plant.position - 3.0 * plant.velocity, -1.2, 1.2))
+        rows.append((float(plant.sensor.position(np.array([plant.step(applied)]))[0]), applied))
+    return Played(t, np.array(rows))
 
 
 def main_stream(path: Path) -> StreamData:
@@ -69,8 +79,8 @@ def bands() -> tuple[float, ...]:
     return found
 
 
-def test_a_twin_whose_physics_is_the_model_agrees_for_the_whole_run(tmp_path, bands):
-    data = played(tmp_path, 31, 90.0, {})
+def test_a_twin_whose_physics_is_the_model_agrees_for_the_whole_run(bands):
+    data = played(31, 90.0, {})
     shadow = shadow_of(bands)
     found = list(feed(shadow, data.t, data.values))
     (state,) = shadow.agreements
@@ -88,8 +98,8 @@ def test_a_twin_whose_physics_is_the_model_agrees_for_the_whole_run(tmp_path, ba
     assert 3e-4 < found[0].noise[0] < 7e-4
 
 
-def test_a_twin_with_concealed_physics_is_left_soon_and_the_time_is_told(tmp_path, bands):
-    data = played(tmp_path, 32, 20.0, CONCEALED)
+def test_a_twin_with_concealed_physics_is_left_soon_and_the_time_is_told(bands):
+    data = played(32, 20.0, CONCEALED)
     shadow = shadow_of(bands)
     found = list(feed(shadow, data.t, data.values))
     (state,) = shadow.agreements
@@ -103,9 +113,9 @@ def test_a_twin_with_concealed_physics_is_left_soon_and_the_time_is_told(tmp_pat
     assert np.all(beyond[:5] > state.band)
 
 
-def test_physics_that_come_in_the_middle_are_noticed_then_and_their_end_too(tmp_path, bands):
+def test_physics_that_come_in_the_middle_are_noticed_then_and_their_end_too(bands):
     """Two twins one after the other stand for a rig that changes; between them samples are missing."""
-    same, other = played(tmp_path, 33, 15.0, {}), played(tmp_path, 34, 15.0, CONCEALED)
+    same, other = played(33, 15.0, {}), played(34, 15.0, CONCEALED)
     begins = [same.t[-1] + 0.5 - other.t[0]]
     changed = other.t + begins[0]
     again = same.t - same.t[0] + changed[-1] + 0.5
