@@ -41,6 +41,11 @@ def _how_well(model: ComparedModel) -> str:
     return f"but not to the noise (error {size} noise levels)"
 
 
+def _file(model: ComparedModel) -> str:
+    """The file of a model, or what stands for it where the result was never saved."""
+    return model.path if model.path.endswith(".json") else "MODEL.json"
+
+
 def _times(model: ComparedModel) -> str:
     return "far more than" if model.times_best is None else f"{model.times_best:.3g} times"
 
@@ -61,7 +66,7 @@ def next_steps(found: ComparisonPart) -> list[str]:
     preferred = next(model for model in found.models if model.name == found.preferred)
     if best.adequacy != "explained":
         steps.append(
-            f"No model explains the data to the noise: `labhil diagnose {path} --model {best.path}` names "
+            f"No model explains the data to the noise: `labhil diagnose {path} --model {_file(best)}` names "
             "what the best one lacks."
         )
     if found.verdict == "alike":
@@ -77,7 +82,7 @@ def next_steps(found: ComparisonPart) -> list[str]:
         )
     elif best.adequacy == "explained":
         steps.append(
-            f"Hold the next recording against it: `labhil verify NEW.mcap --model {preferred.path}`."
+            f"Hold the next recording against it: `labhil verify NEW.mcap --model {_file(preferred)}`."
         )
     apart = [keyed(row.name, row.joint) for row in found.parameters if row.agree is False]
     if apart:

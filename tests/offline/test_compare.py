@@ -131,6 +131,8 @@ def test_results_of_every_kind_saved_or_not(fits, tmp_path, monkeypatch):
     found = lh.compare(verified, "examples/diagnosis.json", lh.Fit.load(fits["coulomb"]))
     assert list(found.models) == ["full.json", "diagnosis.json", "coulomb.json"]
     assert [model.made_by for model in found.models.values()] == ["fit", "diagnosis", "fit"]
+    unsaved = lh.fit(IDENTIFY, terms=["viscous_friction"], test=TEST, estimator="nlse", span=(0, 12))
+    assert "--model MODEL.json" in " ".join(lh.compare(unsaved, unsaved).next_steps)
     again = lh.load(found.save(tmp_path / "c.json"))
     assert again == found
     assert str(again) == str(found)
