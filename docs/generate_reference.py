@@ -245,6 +245,7 @@ def _terms_of(model: typing.Any) -> str:
 
 def schemas() -> dict[str, str]:
     """The JSON schema of each result, by file name."""
+    from labhil.analysis.schema.comparison import ComparisonPart
     from labhil.analysis.schema.diagnosis import DiagnosisPart
     from labhil.analysis.schema.fit import FitPart
     from labhil.analysis.schema.verification import VerificationPart
@@ -253,6 +254,7 @@ def schemas() -> dict[str, str]:
         "fit": FitPart,
         "diagnosis": DiagnosisPart,
         "verification": VerificationPart,
+        "comparison": ComparisonPart,
     }
     return {
         f"{name}.schema.json": json.dumps(
@@ -271,7 +273,7 @@ def schema_page() -> str:
             code(f"labhil.{name.partition('.')[0]}/1"),
             code(f"labhil {made} --json"),
         )
-        for name, made in zip(schemas(), ("fit", "diagnose", "verify"), strict=True)
+        for name, made in zip(schemas(), ("fit", "diagnose", "verify", "compare"), strict=True)
     ]
     return page(
         "JSON schemas of results",

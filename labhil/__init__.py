@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     )
     from labhil.api.acquisition import Experiment, connect, run
     from labhil.api.arrays import recording
+    from labhil.api.comparison import Comparison, compare
     from labhil.api.diagnosis import Diagnosis, diagnose
     from labhil.api.fit import Fit, fit
     from labhil.api.model import Model, Terms, model
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Bench",
+    "Comparison",
     "Coordinate",
     "Diagnosis",
     "ExcludedEffect",
@@ -65,6 +67,7 @@ __all__ = [
     "Simulator",
     "Terms",
     "Verification",
+    "compare",
     "connect",
     "devices",
     "diagnose",

@@ -14,6 +14,7 @@ import typer
 from labhil.commands.acquisition import add_acquisition
 from labhil.commands.analysis import add_analysis
 from labhil.commands.benchmarks import add_benchmarks
+from labhil.commands.compare import add_compare
 from labhil.commands.files import add_files
 from labhil.commands.firmware import add_firmware
 from labhil.commands.machine import add_machine
@@ -83,6 +84,7 @@ for add in (
     add_firmware,
     add_files,
     add_analysis,
+    add_compare,
     add_repair,
     add_trials,
     add_studies,

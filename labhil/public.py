@@ -22,6 +22,7 @@ WHERE = {
         "Score",
     ),
     "labhil.api.acquisition": ("Experiment", "connect", "run"),
+    "labhil.api.comparison": ("Comparison", "compare"),
     "labhil.api.diagnosis": ("Diagnosis", "diagnose"),
     "labhil.api.fit": ("Fit", "fit"),
     "labhil.api.model": ("Model", "Terms", "model"),

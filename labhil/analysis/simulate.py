@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from labhil.analysis.kept_curve import under_kept_curve
 from labhil.analysis.material import Taken, measured_of, naming, read_all, refuse_holes, rig_of
-from labhil.analysis.results import SavedModel, finite, score_json, terms_of, values_of
+from labhil.analysis.results import Reference, SavedModel, finite, score_json, terms_of, values_of
 from labhil.analysis.schema import Score as ScorePart
 from labhil.analysis.schema import checked
 from labhil.diagnose.intake import without_spikes
@@ -15,8 +15,10 @@ from labhil.errors import ModelFileError, OptionError, UnknownNameError
 from labhil.identify.fitted import start_theta, with_only
 from labhil.identify.score import Score, score
 from labhil.identify.windows import noise_of, told_apart
-from labhil.physics.model import Record, index_of
+from labhil.physics.model import Model, Record, index_of
 from labhil.physics.rigs import model_for
+from labhil.rig import RigFile
+from labhil.signals import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,15 +57,27 @@ def simulated(
         )
     records, measured = measured_of([recording], rig)
     refuse_holes(recording.path, records[0])
+    with naming([recording]):
+        model, record, theta = model_on(measured, rig, saved, without)
+        found = score(model, theta, record, noise_of(record), horizon)
+    part = checked(ScorePart, finite(score_json(found)), "the score")
+    return Simulated(str(recording.path), record, found, part)
+
+
+def model_on(
+    measured: Record, rig: RigFile, saved: Reference, without: Collection[str] = ()
+) -> tuple[Model, Record, FloatArray]:
+    """The model of a result for these data, the data as it takes them, and its values.
+
+    ``without`` are terms that are switched off. Raises ModelFileError where the model of such a rig has not
+    all parameters of the result, RecordingError where it cannot use the data.
+    """
     model = under_kept_curve(model_for(rig, measured), saved)
     values = values_of(saved)
     known = index_of(model.parameters)
     foreign = [name for name in values if name not in known]
     if foreign:
         raise ModelFileError(f"{saved}: {foreign[0]}: a model of {rig.kind.name} has no such parameter")
-    with naming([recording]):
-        record = told_apart(model, model.prepare(without_spikes(measured)))
-        theta = with_only(model, start_theta(model, values), set(terms) - set(without))
-        found = score(model, theta, record, noise_of(record), horizon)
-    part = checked(ScorePart, finite(score_json(found)), "the score")
-    return Simulated(str(recording.path), record, found, part)
+    record = told_apart(model, model.prepare(without_spikes(measured)))
+    theta = with_only(model, start_theta(model, values), set(terms_of(saved)) - set(without))
+    return model, record, theta

@@ -96,6 +96,7 @@ def fit_study(
     data["doubts"] = material.doubts(misfit=not result.adequacy.explained)
     data["notes"] = [*material.notes(), *curve_note(start)]
     data["untimed"] = material.untimed()
+    data["held_out"] = _held_out(material)
     return FitResult(result, material, data)
 
 
@@ -148,7 +149,15 @@ def diagnose_study(
     data["doubts"] = material.doubts(misfit=diagnosis.verdict != "no_mismatch")
     data["notes"] = [*material.notes(), *curve_note(reference)]
     data["untimed"] = material.untimed()
+    data["held_out"] = _held_out(material)
     return DiagnosisResult(diagnosis, material, data)
+
+
+def _held_out(material: Material) -> list[list[float]]:
+    """Which stretch of each recording was held out of it, s; none where whole recordings were."""
+    if material.judge_is_test or not material.held_out:
+        return []
+    return [[float(each.t[0]), float(each.t[-1])] for each in material.judge.recordings()]
 
 
 def _reference_values(material: Material, reference: Reference | None) -> Mapping[str, float] | None:

@@ -41,6 +41,14 @@ class Result(ABC):
         """The whole result as plain data, as it is saved."""
         return copy.deepcopy(dict(self._data))
 
+    @property
+    def as_reference(self) -> SavedModel:
+        """Its data under its name, as what reads files of results takes them."""
+        require_analysis("a model")
+        from labhil.analysis.results import SavedModel
+
+        return SavedModel(self._name, self._data)
+
     @classmethod
     def load(cls, path: PathLike) -> Self:
         """Read a saved result of this kind; :func:`labhil.load` reads any.
@@ -182,10 +190,7 @@ class ComputedResult(Result, Generic[P, S]):
     @property
     def saved(self) -> SavedModel:
         """The (final) model, to start from or to compare with."""
-        require_analysis("a model")
-        from labhil.analysis.results import SavedModel
-
-        return SavedModel(self._name, self._data)
+        return self.as_reference
 
     def patch(
         self, into: PathLike, out: PathLike, *, rig: PathLike | None = None, holdout: float = 0.3

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from labhil.analysis.schema import json_of
+from labhil.api.comparison import Comparison
 from labhil.api.diagnosis import Diagnosis
 from labhil.api.fit import Fit
 from labhil.api.inputs import PathLike, path_of
@@ -14,23 +15,24 @@ from labhil.errors import ModelFileError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-KINDS: Mapping[str, type[Fit | Diagnosis | Verification]] = {
+KINDS: Mapping[str, type[Fit | Diagnosis | Verification | Comparison]] = {
     "labhil.fit/1": Fit,
     "labhil.diagnosis/1": Diagnosis,
     "labhil.verification/1": Verification,
+    "labhil.comparison/1": Comparison,
 }
 
 
-def load(path: PathLike) -> Fit | Diagnosis | Verification:
+def load(path: PathLike) -> Fit | Diagnosis | Verification | Comparison:
     """Read a result that was saved, by Python or by a command's ``--json``.
 
     Args:
         path: The JSON file.
 
     Returns:
-        What its schema says: :class:`Fit`, :class:`Diagnosis` or :class:`Verification`. It holds numbers and
-        no
-        samples: it prints, simulates and makes pages, but does not draw the recording that it came from.
+        What its schema says: :class:`Fit`, :class:`Diagnosis`, :class:`Verification` or :class:`Comparison`.
+        It holds numbers and no samples: it prints, simulates and makes pages, but does not draw the recording
+        that it came from.
 
     Raises:
         ModelFileError: The file cannot be read, or is none of these.

@@ -21,6 +21,7 @@ GUIDES: Mapping[str, str] = {
     "labhil fit": "docs/tutorials/refit.md",
     "labhil diagnose": "docs/how-to/read-a-diagnosis.md",
     "labhil verify": "docs/how-to/gate-in-ci.md",
+    "labhil compare": "docs/how-to/compare-models.md",
     "labhil report": "docs/how-to/automate.md",
     "labhil linear": "docs/explanation/rigs.md",
     "labhil demo": "docs/tutorials/demo.md",

@@ -142,15 +142,17 @@ def score(
     sigma: FloatArray,
     horizon: float | None = None,
     lasts: FloatArray | None = None,
+    windows: ScoredWindows | None = None,
 ) -> Score:
     """Simulate the windows of a record, each from the state that its own lead-in suggests.
 
     ``sigma`` (channels,) is the measurement noise, and ``lasts`` (channels,) how many times the variance of a
-    mean of white noise its mean has (default: 1). Raises RecordingError when the record is too short.
+    mean of white noise its mean has (default: 1); ``windows`` take the place of those that ``horizon`` cuts.
+    Raises RecordingError when the record is too short.
     """
     if model.metric is Metric.INVERSE_DYNAMICS:
         windows = all_of(record)
-    else:
+    elif windows is None:
         windows = scored_windows(record, horizon or scored_horizon(model, theta, record))
     nothing = np.empty(0, dtype=np.int64)
     states = held_at(model, theta, record, windows.lead, sigma).states

@@ -17,6 +17,7 @@ RESULTS = {
     "labhil.fit/1": "fit",
     "labhil.diagnosis/1": "diagnosis",
     "labhil.verification/1": "verification",
+    "labhil.comparison/1": "comparison",
     "labhil.campaign/1": "campaign",
 }
 LARGEST_RESULT = 64 << 20
@@ -24,7 +25,7 @@ LARGEST_RESULT = 64 << 20
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One file: a recording, the result of a fit, a diagnosis or a verification, or a campaign.
+    """One file: a recording, the result of a fit, a diagnosis, a verification or a comparison, or a campaign.
 
     ``start`` is when its first sample was taken, or when the file was written where no sample says that.
     ``text`` is what a search looks into.

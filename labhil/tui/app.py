@@ -111,7 +111,7 @@ class LabApp(App[None]):
             with TabPane("1 Devices", id="devices"):
                 yield DevicesPane(self.lab)
             with TabPane("2 Live", id="live"):
-                yield LivePane(self.lab)
+                yield LivePane(self.lab, self.folder)
             with TabPane("3 Experiment", id="experiment"):
                 yield ExperimentPane(self.folder, self.runner, self.lab)
             with TabPane("4 Recordings", id="recordings"):

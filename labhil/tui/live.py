@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import ClassVar
 
 from rich.text import Text
@@ -15,9 +16,12 @@ from textual.widgets.selection_list import Selection
 from labhil.signals import Direction, FloatArray
 from labhil.tui import lab as labs
 from labhil.tui.curve import PENS, Curve
+from labhil.tui.dialogs import Choose
 from labhil.tui.lab import Lab, Place
 from labhil.tui.plot import Chart
 from labhil.tui.replaying import replay_line, steer
+from labhil.tui.shadow import ShadowView
+from labhil.tui.shelf import results
 from labhil.tui.stream_watch import trace
 from labhil.tui.themes import CURVES
 from labhil.tui.ticks import Limits, limits_of
@@ -38,19 +42,20 @@ class LivePane(Horizontal):
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("p", "freeze", "Freeze", id="live.freeze", tooltip="Hold the picture still, to look around"),
-        Binding("full_stop", "window(1)", "Longer", id="live.longer", tooltip="Show more of the past"),
-        Binding("comma", "window(-1)", "Shorter", id="live.shorter", tooltip="Show less of the past"),
+        Binding("full_stop", "window(1)", "More", id="live.longer", tooltip="Show more of the past"),
+        Binding("comma", "window(-1)", "Less", id="live.shorter", tooltip="Show less of the past"),
         Binding("y", "rescale", "Fit y", id="live.rescale", tooltip="Limits from what is shown now"),
         Binding("k", "replay('toggle')", "Pause", id="replay.pause", tooltip="Hold the replay, or go on"),
         Binding("greater_than_sign", "replay('speed', 1)", "Faster", id="replay.faster", show=False),
         Binding("less_than_sign", "replay('speed', -1)", "Slower", id="replay.slower", show=False),
         Binding("j", "replay('back')", "10 s back", id="replay.back", show=False),
+        Binding("m", "shadow", "Model", id="live.shadow", tooltip="An accepted model beside the device"),
         Binding("l", "list", "Signals", id="live.list", tooltip="Show or hide the list of signals"),
     ]
 
-    def __init__(self, lab: Lab) -> None:
+    def __init__(self, lab: Lab, folder: Path) -> None:
         super().__init__(id="live-pane")
-        self._lab = lab
+        self._lab, self._folder = lab, folder
         self._places: dict[str, Place] = {}
         self._charts: dict[str, Chart] = {}
         self._limits: dict[str, Limits] = {}
@@ -65,6 +70,7 @@ class LivePane(Horizontal):
             yield Static(id="live-state")
             yield Static(EMPTY, id="live-empty")
             yield VerticalScroll(id="live-charts", can_focus=False)
+            yield ShadowView()
 
     @property
     def window(self) -> float:
@@ -119,6 +125,7 @@ class LivePane(Horizontal):
             place = self._places.get(key)  # a signal that has just gone has its chart until the next layout
             if place is not None and chart.is_attached:
                 self._draw_one(chart, place, now_ns, number)
+        self.query_one(ShadowView).draw(self.window)
 
     def _draw_one(self, chart: Chart, place: Place, now_ns: int, number: int) -> None:
         watched = self._lab.stream(place)
@@ -200,6 +207,40 @@ class LivePane(Horizontal):
                 self.app.call_later(self.app.notify, complaint, severity="error")
 
         self.run_worker(go, thread=True, group="replay", exit_on_error=False)
+
+    def action_shadow(self) -> None:
+        """Put an accepted model beside the device of the chosen signal, or take it away."""
+        view = self.query_one(ShadowView)
+        if view.state is not None:
+            view.end()
+            return
+        place = self._place_of_model()
+        found = results(self._folder)
+        if place is None or not found:
+            lacking = (
+                "a device that sends samples" if place is None else "a fit or a diagnosis in this folder"
+            )
+            self.notify(f"A model beside a device needs {lacking}.", severity="warning")
+            return
+
+        def go(choice: str | None) -> None:
+            if choice is not None:
+                view.begin(place, Path(choice))
+
+        names = [(str(result.path), result.path.name) for result in found]
+        self.app.push_screen(Choose(f"Which model runs beside {place.device}?", names), go)
+
+    def _place_of_model(self) -> Place | None:
+        """The first measured signal of the device that the list is at, or else of any."""
+        listed = self.query_one(SelectionList)
+        outputs = [p for p in self._places.values() if p.signal.direction is Direction.OUTPUT]
+        if listed.highlighted is None or not outputs:
+            return next(iter(outputs), None)
+        here = self._places.get(listed.get_option_at_index(listed.highlighted).value)
+        own = [
+            p for p in outputs if here is not None and (p.endpoint, p.device) == (here.endpoint, here.device)
+        ]
+        return next(iter(own or outputs))
 
     def action_window(self, change: int) -> None:
         """Show more or less of the past."""

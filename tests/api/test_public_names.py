@@ -16,6 +16,7 @@ ROOT = Path(__file__).parents[2]
 
 NAMES = [
     "Bench",
+    "Comparison",
     "Coordinate",
     "Diagnosis",
     "ExcludedEffect",
@@ -35,6 +36,7 @@ NAMES = [
     "Simulator",
     "Terms",
     "Verification",
+    "compare",
     "connect",
     "devices",
     "diagnose",

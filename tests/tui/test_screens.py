@@ -19,13 +19,16 @@ from textual.widgets import Input
 
 from labhil.bus.incoming import ReplayMessage
 from labhil.tui import lab as labs
+from labhil.tui import shadow
 from labhil.tui.analysis import AnalysisDialog
 from labhil.tui.app import LabApp
 from labhil.tui.overlay import OverlayScreen
+from labhil.tui.shadow import ShadowView
 from labhil.tui.themes import DARK, LIGHT
 
 sys.path.insert(0, str(Path(__file__).parent))
 
+from shadowed import StillHelper
 from still import NOW_NS, StillLab
 
 SCREENS = Path(__file__).parent / "screens"
@@ -94,6 +97,17 @@ async def cursor(pilot: Pilot[None], app: LabApp) -> None:
     await keys("tab", "plus", "plus", "shift+right", "shift+right")(pilot, app)
 
 
+async def shadowed(pilot: Pilot[None], app: LabApp) -> None:
+    """A model that agrees for a while, and then does not."""
+    await keys("2", "m", "enter")(pilot, app)
+    view = app.base.query_one(ShadowView)
+    while view.state is None or len(view.state.outputs["ball_position"].stretches) < 10:
+        await pilot.pause(SETTLED)
+    await settle(pilot)
+    view.parent.parent.draw()  # type: ignore[union-attr]
+    await pilot.pause(SETTLED)
+
+
 async def palette(pilot: Pilot[None], _app: LabApp) -> None:
     """With the first experiment's plan read: what the palette offers depends on it."""
     await pilot.press("3")
@@ -104,6 +118,7 @@ async def palette(pilot: Pilot[None], _app: LabApp) -> None:
 SHOWN: dict[str, Go] = {
     "devices": keys("1"),
     "live": keys("2"),
+    "shadow": shadowed,
     "replay": replayed,
     "experiment": running,
     "recordings": keys("4", "space", "down", "t"),
@@ -123,6 +138,7 @@ SHOWN: dict[str, Go] = {
 DOCUMENTED = {
     "devices-80x24": "devices",
     "live-160x50": "live",
+    "shadow-80x24": "shadow",
     "replay-80x24": "replay",
     "experiment-160x50": "experiment",
     "recordings-80x24": "recordings",
@@ -174,6 +190,7 @@ def check(name: str, found: str, tmp_path: Path) -> None:
 @pytest.fixture(autouse=True)
 def clocks_stand_still(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(labs, "clock_ns", lambda: NOW_NS)
+    monkeypatch.setattr(shadow, "Helper", StillHelper)
     monkeypatch.setattr(Input, "_toggle_cursor", lambda _input: None)  # it blinks
 
 

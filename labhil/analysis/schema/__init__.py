@@ -10,6 +10,13 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
+from labhil.analysis.schema.comparison import (
+    ComparedChannel,
+    ComparedModel,
+    ComparisonPart,
+    SharedParameter,
+    ValueOfModel,
+)
 from labhil.analysis.schema.diagnosis import (
     ChangedParameter,
     ChannelImprovement,
@@ -60,11 +67,15 @@ from labhil.documents import parse_json
 from labhil.errors import ModelFileError
 
 __all__ = [
+    "COMPARISON",
     "ChangedParameter",
     "ChannelErrors",
     "ChannelImprovement",
     "ChannelVerdict",
     "CollapsedSize",
+    "ComparedChannel",
+    "ComparedModel",
+    "ComparisonPart",
     "DiagnosisPart",
     "EstimatedCurve",
     "Evidence",
@@ -90,10 +101,12 @@ __all__ = [
     "ResidualTests",
     "Rival",
     "Score",
+    "SharedParameter",
     "ShorterWindows",
     "Source",
     "UndecidedEffect",
     "ValueChange",
+    "ValueOfModel",
     "Verdict",
     "VerificationPart",
     "WindowEstimate",
@@ -107,6 +120,7 @@ __all__ = [
 Result = TypeVar("Result", bound=Part)
 
 FIT, DIAGNOSIS, VERIFICATION = "labhil.fit/1", "labhil.diagnosis/1", "labhil.verification/1"
+COMPARISON = "labhil.comparison/1"
 
 
 def any_result_of(data: Any, origin: str) -> FitPart | DiagnosisPart | VerificationPart:

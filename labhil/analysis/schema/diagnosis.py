@@ -17,6 +17,7 @@ from labhil.analysis.schema.parts import (
     RecordingErrors,
     Score,
     Source,
+    StudyPart,
 )
 from labhil.physics.terms import keyed
 
@@ -359,7 +360,7 @@ class CollapsedSize(Part):
     statement: str = ""
 
 
-class DiagnosisPart(Part):
+class DiagnosisPart(StudyPart):
     """`labhil.diagnosis/1`."""
 
     recordings: tuple[Source, ...]
@@ -383,8 +384,6 @@ class DiagnosisPart(Part):
     final: FittedModel
     curve: EstimatedCurve | None = None
     further_curves: tuple[EstimatedCurve, ...] = ()
-    complete: bool = True
-    seconds: Number = None
 
     @property
     def asks_baseline(self) -> bool:

@@ -16,6 +16,7 @@ from labhil.analysis.schema.parts import (
     Part,
     Score,
     Source,
+    StudyPart,
 )
 from labhil.analysis.verdicts import fit_verdict
 
@@ -61,7 +62,7 @@ class FittedChannel(Part):
     rmse: Number = None
 
 
-class FitPart(Part):
+class FitPart(StudyPart):
     """`labhil.fit/1`."""
 
     recordings: tuple[Source, ...]
@@ -90,9 +91,7 @@ class FitPart(Part):
     curve: EstimatedCurve | None = None
     further_curves: tuple[EstimatedCurve, ...] = ()
     converged: bool = True
-    complete: bool = True
     evaluations: int = 0
-    seconds: Number = None
 
     @property
     def statement(self) -> str | None:

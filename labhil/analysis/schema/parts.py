@@ -30,6 +30,7 @@ class Source(Part):
     samples: int
     duration: Number = None
     role: str = ""
+    start: Number = 0.0
     recording: int | None = None
 
 
@@ -199,6 +200,16 @@ class Fault(Part):
     kind: str
     statement: str
     mended: bool = False
+
+
+class StudyPart(Part):
+    """What every result of long work has; ``held_out`` are the stretches (s) that its recordings were judged
+    on, one of each, where no recording was for that alone.
+    """
+
+    complete: bool = True
+    held_out: tuple[tuple[float, float], ...] = ()
+    seconds: Number = None
 
 
 class EstimatedCurve(Part):

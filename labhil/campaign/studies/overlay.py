@@ -72,12 +72,14 @@ def main() -> int:
     on_further_lines(lambda line: wanted.put(tuple(map(str, line.get("without", ())))), lambda: os._exit(0))
     try:
         from labhil.analysis.results import terms_of
+        from labhil.api.diagnosis import Diagnosis
+        from labhil.api.fit import Fit
         from labhil.api.saved import load
-        from labhil.api.verification import Verification
 
         result = load(path)
-        if isinstance(result, Verification):
-            raise ModelFileError(f"{path}: expected a fit or a diagnosis, found a verification")
+        if not isinstance(result, (Fit, Diagnosis)):
+            found = type(result).__name__.lower()
+            raise ModelFileError(f"{path}: expected a fit or a diagnosis, found a {found}")
         tests = [source for source in result.recordings if source.role == "test"]
         recording = recording_of(path, (tests or list(result.recordings))[0].path)
         say({"terms": list(terms_of(result.saved)), **simulated_without(result, recording, ())})

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-VOID = frozenset({"br", "hr", "meta", "img", "col", "wbr"})
+VOID = frozenset({"br", "hr", "meta", "img", "input", "col", "wbr"})
 
 UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
 """Characters that HTML does not allow, or that UTF-8 cannot carry (undecodable bytes of a path)."""

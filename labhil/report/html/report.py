@@ -5,10 +5,19 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
-from labhil.analysis.schema import DiagnosisPart, VerificationPart, any_result_of, json_of
+from labhil.analysis.schema import (
+    COMPARISON,
+    ComparisonPart,
+    DiagnosisPart,
+    VerificationPart,
+    any_result_of,
+    checked,
+    json_of,
+)
 from labhil.errors import ModelFileError, RecordingError, UsageError
 from labhil.recording.chunks import is_mcap
 from labhil.recording.reader import read_recording
+from labhil.report.html.comparison import comparison_page
 from labhil.report.html.diagnosis import diagnosis_page
 from labhil.report.html.fit import fit_page
 from labhil.report.html.page import Page
@@ -31,7 +40,10 @@ def report_page(path: Path, run: int | None = None) -> Page:
         return recording_page(recording, f"Made from {path}.", Album())
     if run is not None:
         raise UsageError(f"--run {run}: expected a recording, found {path}")
-    result = any_result_of(json_of(data, str(path)), str(path))
+    plain = json_of(data, str(path))
+    if isinstance(plain, dict) and plain.get("schema") == COMPARISON:
+        return comparison_page(checked(ComparisonPart, plain, str(path)), foot)
+    result = any_result_of(plain, str(path))
     if isinstance(result, VerificationPart):
         return verification_page(result, foot)
     if isinstance(result, DiagnosisPart):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from labhil.analysis.schema import DiagnosisPart, FitPart, VerificationPart
+from labhil.analysis.schema import ComparisonPart, DiagnosisPart, FitPart, VerificationPart
 from labhil.analysis.study import DiagnosisResult, FitResult
 from labhil.physics.terms import keyed
 from labhil.report.fit_plot import fit_figure
@@ -50,6 +50,6 @@ def _channel_picture(album: Album, result: DiagnosisResult, j: int) -> Markup:
     return album.picture(caption, lambda: channel_figure(result.diagnosis, j))
 
 
-def foot_of(result: FitPart | DiagnosisPart | VerificationPart) -> str:
+def foot_of(result: FitPart | DiagnosisPart | VerificationPart | ComparisonPart) -> str:
     """Where a page comes from."""
     return f"Made from {', '.join(source.path for source in result.recordings)}."

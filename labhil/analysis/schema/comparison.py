@@ -1,0 +1,85 @@
+"""A comparison of models as its JSON says it (`labhil.comparison/1`)."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from labhil.analysis.schema.parts import ChannelErrors, Interval, Number, Part, Source
+
+
+class ComparedChannel(ChannelErrors):
+    """How well one model simulates one output; ``rmse_over_noise`` is ``rmse`` over ``noise_floor``."""
+
+    rmse_over_noise: Number = None
+
+
+class ComparedModel(Part):
+    """One model on the recordings that all are compared on.
+
+    ``rmse_over_noise`` is of all outputs, in noise levels that are the same for all models; ``times_best`` is
+    that over the best model's, ``p_value`` of the test that it is no worse than that. ``fitted_to_it`` says
+    whether the model has seen these data.
+    """
+
+    name: str
+    path: str
+    made_by: Literal["fit", "diagnosis"]
+    terms: tuple[str, ...]
+    n_parameters: int
+    adequacy: Literal["explained", "unexplained", "worse_than_mean"]
+    rmse_over_noise: Number
+    per_channel: tuple[ComparedChannel, ...]
+    times_best: Number
+    p_value: Number
+    worse_than_best: bool
+    fitted_to_it: bool = False
+
+
+class ValueOfModel(Part):
+    """A parameter's value in one model; ``std_error`` is None where it was held or is not known."""
+
+    model: str
+    value: Number
+    std_error: Number = None
+    ci99: Interval | None = None
+    held: bool = False
+    identifiable: bool = True
+
+
+class SharedParameter(Part):
+    """A parameter that two models or more have; ``agree`` is None where the data cannot say.
+
+    ``z`` is the largest difference of two values over its standard error, ``p_value`` allows for all pairs.
+    """
+
+    name: str
+    joint: int | None = None
+    unit: str = ""
+    values: tuple[ValueOfModel, ...]
+    z: Number = None
+    p_value: Number = None
+    agree: bool | None
+
+
+class ComparisonPart(Part):
+    """`labhil.comparison/1`. ``verdict`` is "one_best", or "alike" where ``best`` has its equals."""
+
+    recordings: tuple[Source, ...]
+    rig: str
+    metric: str
+    horizon: Number
+    verdict: Literal["one_best", "alike"]
+    statement: str
+    best: str
+    preferred: str
+    alpha: float
+    models: tuple[ComparedModel, ...]
+    parameters: tuple[SharedParameter, ...] = ()
+    next_steps: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    seconds: Number = None
+
+    @property
+    def best_model(self) -> ComparedModel:
+        """The model with the smallest error."""
+        return next(model for model in self.models if model.name == self.best)

@@ -1,0 +1,72 @@
+"""The command that compares models: ``labhil compare``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from labhil.commands.analysis import DeviceOption, SimulatorOption, rig_or_simulator
+from labhil.commands.files import RunOption
+from labhil.console import deliver, refuse_unwritable, results_console, tell
+from labhil.terminal import status
+
+RECORDINGS = (".mcap", ".part")
+"""Endings of arguments that are recordings to compare on, and no results."""
+
+
+def add_compare(app: typer.Typer) -> None:
+    """Register this command."""
+    app.command(epilog="Example: labhil compare simple.json full.json --html compare.html")(compare)
+
+
+def compare(
+    results: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="RESULT...",
+            help="Two to eight results (JSON of fit, diagnose or verify); recordings (.mcap) among them are "
+            "what the models are compared on.",
+        ),
+    ],
+    *,
+    recording: Annotated[
+        list[Path] | None,
+        typer.Option(help="Compare on this; may be repeated (default: what the first was judged on)."),
+    ] = None,
+    rig: Annotated[Path | None, typer.Option(help="Rig file; default: the recording's own.")] = None,
+    simulator: SimulatorOption = None,
+    horizon: Annotated[
+        float | None,
+        typer.Option(help="Length of the simulated windows, s (default: the longest that a model asks for)."),
+    ] = None,
+    device: DeviceOption = None,
+    run: RunOption = None,
+    html: Annotated[Path | None, typer.Option(help="Write a page about it here (HTML).")] = None,
+    json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
+) -> None:
+    """Compare models on the same recording: which explains it best, by how much, and is that more than noise.
+
+    Every model is simulated in the same windows. Of a diagnosis its final model counts, of a verification the
+    model that it verified. Parameters that models share stand side by side with their intervals.
+    """
+    from labhil.api.comparison import compare as make
+
+    refuse_unwritable(json_path, html)
+    given = [path for path in results if path.suffix.lower() in RECORDINGS]
+    on = [*given, *(recording or [])]
+    with status() as say:
+        found = make(
+            *(path for path in results if path not in given),
+            recording=on or None,
+            model=rig_or_simulator(rig, simulator),
+            horizon=horizon,
+            device=device,
+            run=run,
+            progress=say,
+            warn=tell,
+        )
+    deliver(found.to_dict(), json_path, lambda: found.show(results_console()))
+    if html is not None:
+        found.report(html)

@@ -1,0 +1,140 @@
+"""The live shadow: an accepted model beside a device, its residual against its band."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.text import Text
+from textual.app import ComposeResult
+from textual.containers import Vertical
+from textual.message import Message
+from textual.widgets import Static
+
+from labhil.campaign.studies.process import Helper
+from labhil.tui import lab as labs
+from labhil.tui.curve import Curve, Pen
+from labhil.tui.lab import Place
+from labhil.tui.plot import Chart
+from labhil.tui.shadow_state import Output, ShadowState
+
+MODULE = "labhil.tui.shadowing"
+ROOM_FOR_ORIGIN = 100
+"""Columns from which on there is room to say what the band is made of."""
+
+PATIENCE = 0.2
+"""How long its process may take to end by itself, s."""
+
+MOST_SHOWN = 6
+"""Outputs that have a line; a chart shows the residual of the one that is farthest beyond."""
+
+
+@dataclass
+class ShadowSaid(Message):
+    """A line of the process of shadow ``number``."""
+
+    number: int
+    line: dict[str, Any]
+
+
+class ShadowView(Vertical):
+    """Lines that say whether the model agrees, and a chart of the residual with its band."""
+
+    def __init__(self) -> None:
+        super().__init__(id="live-shadow")
+        self._helper: Helper | None = None
+        self._number = 0
+        self._said = Text()
+        self.state: ShadowState | None = None
+        """What is known of the shadow; None where there is none."""
+
+    def compose(self) -> ComposeResult:
+        """The lines, and the chart."""
+        yield Static(id="shadow-lines")
+        yield Chart(id="shadow-chart")
+
+    def on_mount(self) -> None:
+        """There is nothing to show yet."""
+        self.display = False
+
+    def on_unmount(self) -> None:
+        """Nobody looks at it any more."""
+        if self._helper is not None:
+            self._helper.close(PATIENCE)
+
+    def begin(self, place: Place, model: Path) -> None:
+        """Simulate this model along the stream of a signal, instead of what was simulated before."""
+        self.end()
+        self._number += 1
+        number = self._number
+        self.state = ShadowState(place.device, model.name)
+        told = {
+            "endpoint": place.endpoint,
+            "device": place.device,
+            "stream": place.stream,
+            "model": str(model.absolute()),
+        }
+        self._helper = Helper(
+            "the shadow", MODULE, told, lambda line: self.post_message(ShadowSaid(number, line))
+        )
+        self.display = True
+        self.draw(1.0)
+
+    def end(self) -> None:
+        """End it, and take it from the screen; its process may take a moment, which no key waits for."""
+        helper, self._helper = self._helper, None
+        if helper is not None:
+            self.run_worker(lambda: helper.close(PATIENCE), thread=True, group="shadow", exit_on_error=False)
+        self.state = None
+        self.display = False
+
+    def on_shadow_said(self, message: ShadowSaid) -> None:
+        """Take what the process says; the last words of the one before are not this one's."""
+        message.stop()
+        if self.state is not None and message.number == self._number:
+            self.state.take(message.line)
+
+    def draw(self, window: float) -> None:
+        """Show the newest of it, and so many s of residuals."""
+        state = self.state
+        if state is None or not self.is_attached:
+            return
+        colours, now_ns = self.app.theme_variables, labs.clock_ns() + state.ahead_ns
+        rows = state.rows(colours, now_ns, wide=self._is_wide)[:MOST_SHOWN]
+        line_end = Text("\n", no_wrap=True, overflow="ellipsis")
+        said = line_end.join([state.title(colours, now_ns), *rows])
+        if said != self._said:
+            changed = len(said.plain.splitlines()) != len(self._said.plain.splitlines())
+            self._said = said
+            self.query_one("#shadow-lines", Static).update(said, layout=changed)
+        chart = self.query_one(Chart)
+        chart.display = bool(state.outputs)
+        if state.outputs:
+            worst = max(state.outputs.values(), key=lambda output: output.beyond)
+            self._draw_residual(chart, worst, window, now_ns)
+
+    @property
+    def _is_wide(self) -> bool:
+        return self.size.width >= ROOM_FOR_ORIGIN
+
+    def _draw_residual(self, chart: Chart, output: Output, window: float, now_ns: int) -> None:
+        colours = self.app.theme_variables
+        ago, residual = output.residual(now_ns)
+        shown = ago >= -window
+        ago, residual = ago[shown], residual[shown]
+        low, high = float(np.nanmin(residual, initial=0.0)), float(np.nanmax(residual, initial=0.0))
+        limits = (min(-1.3 * output.band, 1.1 * low), max(1.3 * output.band, 1.1 * high))
+        colour = "curve-1" if output.left_at is None else "curve-4"
+        edges = [
+            Curve(np.array([-window, 0.0]), np.full(2, side * output.band), "muted", Pen.DASHED)
+            for side in (1.0, -1.0)
+        ]
+        curve = Curve(ago, residual, colour)
+        title = Text(no_wrap=True, overflow="ellipsis")
+        title.append(f"residual of {output.name}", style=f"bold {colours[colour]}")
+        title.append(", noise levels   ╍╍ band", style=colours["muted"])
+        if self.state is not None and self._is_wide:
+            title.append(f", {self.state.about()}", style=colours["muted"])
+        chart.show(title, [*edges, curve], (-window, 0.0), limits)

@@ -1,0 +1,158 @@
+"""What a screen knows of a shadow, and how it says it."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from rich.text import Text
+
+from labhil.signals import FloatArray
+from labhil.tui.words import duration
+
+KEPT_STRETCHES = 400
+"""Of each output: some minutes, more than any chart shows."""
+
+SILENT = 3.0
+"""After so many times the length of a stretch without a new one samples have stopped to come."""
+
+SHORTEST_SILENCE = 2.0
+"""But not before so many s."""
+
+
+@dataclass(slots=True)
+class Output:
+    """One output: its residual in noise levels, and whether the model agrees."""
+
+    name: str
+    unit: str
+    noise: float
+    band: float
+    left_at: float | None
+    left_ns: int | None
+    beyond: float
+    stretches: deque[tuple[int, FloatArray, FloatArray]] = field(
+        default_factory=lambda: deque(maxlen=KEPT_STRETCHES)
+    )
+
+    def residual(self, now_ns: int) -> tuple[FloatArray, FloatArray]:
+        """Times, s before ``now_ns`` and negative, and residuals; NaN between two stretches."""
+        if not self.stretches:
+            return np.empty(0), np.empty(0)
+        t, y = [], []
+        for base_ns, times, values in self.stretches:
+            shift = (base_ns - now_ns) * 1e-9
+            t += [times + shift, times[-1:] + shift]
+            y += [values, np.array([np.nan])]
+        return np.concatenate(t), np.concatenate(y)
+
+
+@dataclass(slots=True)
+class ShadowState:
+    """What the process of a shadow has said so far; of the ``device`` and the file name of its ``model``."""
+
+    device: str
+    model: str
+    validated: str | None = None
+    failed: str = ""
+    unjudged: str = ""
+    until: float = 0.0
+    dropped: float = 0.0
+    gaps: int = 0
+    ahead_ns: int = 0
+    outputs: dict[str, Output] = field(default_factory=dict)
+
+    def take(self, line: Mapping[str, Any]) -> None:
+        """Take a line of the process."""
+        if "failed" in line:
+            self.failed = str(line["failed"])
+        elif "ended" in line:
+            self.failed = self.failed or str(line["complaint"] or "the process that simulates has ended")
+        elif "validated" in line:
+            self.validated = str(line["validated"])
+        elif "unjudged" in line:
+            self.unjudged = str(line["unjudged"])
+        elif "outputs" in line:
+            self.unjudged = ""
+            self.until, self.dropped = float(line["until"]), float(line["dropped"])
+            self.gaps, self.ahead_ns = int(line["gaps"]), int(line["ahead_ns"])
+            for each in line["outputs"]:
+                self._take_output(each, int(line["base_ns"]))
+
+    def _take_output(self, told: Mapping[str, Any], base_ns: int) -> None:
+        known = ("name", "unit", "noise", "band", "left_at", "left_ns", "beyond")
+        output = Output(**{key: told[key] for key in known})
+        before = self.outputs.get(output.name)
+        if before is not None:
+            output.stretches = before.stretches
+        if told["t"]:
+            output.stretches.append((base_ns, np.array(told["t"]), np.array(told["residual"])))
+        self.outputs[output.name] = output
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the model explains all outputs."""
+        return all(output.left_at is None for output in self.outputs.values())
+
+    def silence(self, now_ns: int) -> float | None:
+        """How long no stretch has come, s, where that is longer than it should be."""
+        newest = [output.stretches[-1] for output in self.outputs.values() if output.stretches]
+        if not newest:
+            return None
+        base_ns, t, _ = newest[0]
+        age = (now_ns - base_ns) * 1e-9 - float(t[-1])
+        return age if age > max(SHORTEST_SILENCE, SILENT * float(t[-1] - t[0])) else None
+
+    def title(self, colours: Mapping[str, str], now_ns: int) -> Text:
+        """The line that says which model it is, and how the work goes."""
+        line = Text(no_wrap=True, overflow="ellipsis")
+        if self.failed:
+            line.append(f"✕ {self.failed}", style=f"bold {colours['error']}")
+            return line
+        line.append(f"Shadow of {self.device}", style="bold")
+        line.append(f", {self.model}: ", style=colours["muted"])
+        if not self.outputs:
+            line.append("reads the model …" if self.validated is None else "waits for samples …")
+        elif self.agrees:
+            line.append("✓ agrees", style=f"bold {colours['success']}")
+            line.append(f" until {self.until:.1f} s", style=colours["muted"])
+        else:
+            line.append("✕ has left", style=f"bold {colours['error']}")
+            line.append(f" until {self.until:.1f} s", style=colours["muted"])
+        silence = self.silence(now_ns)
+        if self.unjudged:
+            line.append(f"  – not judged: {self.unjudged}", style=colours["warning"])
+        elif silence is not None:
+            line.append(f"  ◌ no samples for {duration(silence)}", style=f"bold {colours['warning']}")
+        if self.dropped >= 0.1:
+            line.append(f"  ! {self.dropped:.1f} s not simulated", style=f"bold {colours['warning']}")
+        return line
+
+    def rows(self, colours: Mapping[str, str], now_ns: int, *, wide: bool = True) -> list[Text]:
+        """A line for each output: it agrees, or since when it does not and how far it is beyond."""
+        return [_row(output, colours, now_ns, wide=wide) for output in self.outputs.values()]
+
+    def about(self) -> str:
+        """What the band is made of."""
+        if self.validated is None:
+            return ""
+        return f"99.9 % of its errors on {self.validated}" if self.validated else "99.9 % of noise"
+
+
+def _row(output: Output, colours: Mapping[str, str], now_ns: int, *, wide: bool) -> Text:
+    """One output; its band is left out where there is no room for it."""
+    line = Text(no_wrap=True, overflow="ellipsis")
+    line.append(f"  {output.name} ", style="bold")
+    if output.left_at is None:
+        line.append("agrees", style=colours["success"])
+    else:
+        line.append(f"left at {output.left_at:.1f} s", style=f"bold {colours['error']}")
+        if output.left_ns is not None:
+            line.append(f", {duration(max(0.0, (now_ns - output.left_ns) * 1e-9))} ago")
+        line.append(f": × {output.beyond:.1f} noise levels beyond" if output.beyond else ": back within")
+    if wide or output.left_at is None:
+        line.append(f"  ± {output.band:.1f} × {output.noise:.2g} {output.unit}", style=colours["muted"])
+    return line
