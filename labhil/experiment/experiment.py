@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from labhil.complaints import explain, unknown_key
-from labhil.documents import DocumentError, parse_toml
+from labhil.documents import DocumentError, parse_toml, read_document
 from labhil.errors import ExperimentFileError, UnknownNameError, suggestion
 from labhil.experiment.checks import CheckSection, no_such_device
 from labhil.experiment.condition import StatedCondition
@@ -346,8 +346,8 @@ class Experiment(WithDevices):
 def load_experiment(path: Path) -> Experiment:
     """Read an experiment file; ExperimentFileError names the file, the field and what was expected."""
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_document(path)
+    except (OSError, DocumentError) as error:
         raise ExperimentFileError(f"{path}: cannot be read as an experiment file (TOML): {error}") from error
     return parse_experiment(text, path)
 

@@ -15,6 +15,7 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 
 from labhil.report.html.element import Markup, clean, tag
+from labhil.terminal import LONGEST_NAME
 
 SETTINGS: dict[Any, Any] = {
     "svg.fonttype": "none",  # text stays text: small, sharp, found by a search
@@ -76,4 +77,5 @@ def _prefixed(svg: str, prefix: str) -> str:
 
 def label(text: str, unit: str = "") -> str:
     """What stands at an axis: name and unit."""
-    return clean(f"{text}, {unit}" if unit else text)
+    whole = clean(f"{text}, {unit}" if unit else text)
+    return whole if len(whole) <= LONGEST_NAME else f"{whole[:LONGEST_NAME]}…"
