@@ -167,10 +167,11 @@ def _agreement(lines: Sequence[str], delimiter: str | None) -> float:
     return frequency / len(lines) if fields > 1 else 0.0
 
 
-def _split(line: str, delimiter: str | None) -> list[str]:
+def _split(line: str, delimiter: str | None) -> tuple[str, ...]:
+    """The fields of a line; a list that ``split`` makes has room for twelve, whatever is in it."""
     if delimiter is not None and '"' in line:
-        return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
-    return line.split(delimiter)
+        return tuple(next(csv.reader([line], delimiter=delimiter, skipinitialspace=True)))
+    return tuple(line.split(delimiter))
 
 
 def _has_header(fields: Sequence[str], table: Table, wanted: Collection[str]) -> bool:

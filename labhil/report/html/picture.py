@@ -15,7 +15,6 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 
 from labhil.report.html.element import Markup, clean, tag
-from labhil.terminal import LONGEST_NAME
 
 SETTINGS: dict[Any, Any] = {
     "svg.fonttype": "none",  # text stays text: small, sharp, found by a search
@@ -26,6 +25,9 @@ SETTINGS: dict[Any, Any] = {
 }
 MOST_DOTS = 500
 """A scatter of more dots than that is embedded as pixels: each dot would be an element."""
+
+LONGEST_LABEL = 72
+"""Characters at an axis; a longer text leaves no room for the picture beside it."""
 
 LONG_DECIMAL = re.compile(r"(\.\d\d)\d+")
 
@@ -78,4 +80,4 @@ def _prefixed(svg: str, prefix: str) -> str:
 def label(text: str, unit: str = "") -> str:
     """What stands at an axis: name and unit."""
     whole = clean(f"{text}, {unit}" if unit else text)
-    return whole if len(whole) <= LONGEST_NAME else f"{whole[:LONGEST_NAME]}…"
+    return whole if len(whole) <= LONGEST_LABEL else f"{whole[:LONGEST_LABEL]}…"
