@@ -130,8 +130,8 @@ class Recorder:
             for name, table in (metadata or {}).items():
                 self._writer.metadata(name, table)
             self._writer.flush()
-            self._schemas = subscribe(bus, ALL_SCHEMAS, self._receive_schema)
-            self._subscription = subscribe(bus, ALL_STREAMS, self._receive)
+            self._schemas = subscribe(bus, ALL_SCHEMAS, self._receive_schema, self._refusals)
+            self._subscription = subscribe(bus, ALL_STREAMS, self._receive, self._refusals)
         except BaseException:
             self._writer.abandon()
             for begun in (self._writer.path, self._writer.part):

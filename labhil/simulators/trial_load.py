@@ -48,6 +48,8 @@ def load_apart(file: Path, purpose: str) -> Any:
         found = _said(file.resolve(), binary)
         if found:
             raise UsageError(f"{file}: expected a file that MuJoCo loads (MJCF, URDF), found: {found}")
+        # else MuJoCo writes what it thinks of a simulation to a file, wherever we are
+        mujoco.set_mju_user_warning(lambda _text: None)
         return mujoco.MjModel.from_binary_path(str(binary))
 
 
