@@ -59,13 +59,12 @@ def test_every_command_reads_the_files_before_they_are_spoilt(reader: Reader, tm
 @pytest.mark.timeout(300)
 def test_bad_files_are_read_or_refused(reader: Reader, tmp_path: Path) -> None:
     tally = Tally()
-    harmful = harmful_cases()[::13]
-    for make in [*make_cases(120, seed=2), *harmful]:
+    harmful = harmful_cases()[::17]
+    for make in [*make_cases(80, seed=2), *harmful]:
         case = make()
         tally.add(case, *tried(case, reader, tmp_path / "case"))
     assert tally.faults == []
-    assert tally.read > 30
-    assert tally.refused > 60
+    assert min(tally.read, tally.refused) > 20
 
 
 @pytest.mark.parametrize(
