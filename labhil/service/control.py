@@ -373,6 +373,10 @@ class DeviceControl:
 
     def _follow(self, payload: bytes, now: float) -> dict[str, Any]:
         setpoint = Setpoint.from_bytes(payload)
+        if objection := self._lease.objection(setpoint.token, now):
+            # no fault of who holds it: what a second operator sends must not end the first one's run
+            self._refusals.note(setpoint_key(self._config.device), objection)
+            return {}
         self._admit(setpoint, now)
         self._output.limits.refuse_unusable(setpoint.values)
         self._apply(setpoint, now)

@@ -16,6 +16,7 @@ import pytest
 import zenoh
 
 from labhil.bus import latch, register
+from labhil.bus.ask import ask
 from labhil.bus.authentication import Signer, Verifier, new_key
 from labhil.bus.keys import ALL_STREAMS, command_key, event_key, schema_key, setpoint_key, stream_key
 from labhil.bus.publish import publish_command
@@ -209,6 +210,25 @@ def test_whatever_comes_in_the_emergency_stop_is_heard(start_run: Callable[[], R
     rejected = [event for event in recording.events if event.body.get("kind") == "rejected"]
     assert {event.device for event in rejected} == {"bench", "run"}
     assert len(rejected) < 200, "not every one is reported"
+
+
+def test_a_second_operator_moves_nothing(start_run: Callable[[], Running]) -> None:
+    run = start_run()
+    with open_bus(run.entry.endpoint) as bus:  # who has the key, but not the lease
+        with pytest.raises(CommandRefusedError, match="the device is held by"):
+            ask(bus, command_key("bench", "lease"), {"holder": "a second operator"}, patience=10.0)
+        for name, payload in (("set", {}), ("lease", {"action": "return"}), ("lease", {"action": "renew"})):
+            question = {"token": "guessed", "t_ns": time.time_ns(), "values": {"servo_angle": 0.5}, **payload}
+            with pytest.raises(CommandRefusedError, match="this is not its token"):
+                ask(bus, command_key("bench", name), question)
+        for age in (0, 10**9, -(10**9)):
+            setpoint = Setpoint("guessed", time.time_ns() - age, {"servo_angle": 0.5})
+            publish_command(bus, setpoint_key("bench"), setpoint.to_bytes())
+        deadline = time.monotonic() + PATIENCE
+        while (status := ask(bus, command_key("bench", "status")))["refused"].get(setpoint_key("bench")) != 3:
+            assert time.monotonic() < deadline, status
+    assert status["state"] == "active" and abs(status["applied"]["servo_angle"]) < 0.5
+    assert run.control.state is RunState.RUNNING, run.control.reason
 
 
 def test_false_samples_and_events_move_no_run(start_run: Callable[[], Running]) -> None:
