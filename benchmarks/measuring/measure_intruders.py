@@ -25,7 +25,7 @@ from typing import Any
 
 from labhil.bus import latch
 from labhil.bus.ask import ask
-from labhil.bus.keys import command_key, event_key, schema_key, setpoint_key, stream_key
+from labhil.bus.keys import ARRIVED, command_key, event_key, schema_key, setpoint_key, stream_key
 from labhil.bus.register import running
 from labhil.bus.session import open_bus
 from labhil.errors import BusError, LabhilError
@@ -40,24 +40,23 @@ ATTACKS = {"malformed": 200.0, "forged": 200.0, "replayed": 200.0, "flood": 5000
 
 FLOOD = 3.0
 PRESSED_AFTER = 1.2
-KEYS: dict[str, str] = {
-    **dict.fromkeys(
-        (
-            setpoint_key("bench"), event_key("bench"), stream_key("bench", "state"),
-            stream_key("bench", "command"), event_key("run"), "lab/nobody/state", "lab/nobody/event",
-            "lab/bench/@schema/state",
-        ),
-        "put",
-    ),
-    **dict.fromkeys(
-        (
-            *(command_key("bench", name) for name in ("status", "set", "safe", "lease", "estop", "shutdown")),
-            *(command_key("@run", name) for name in ("status", "pause", "resume", "stop", "abort", "mark")),
-            schema_key("bench", "state"), "lab/@arrived",
-        ),
-        "ask",
-    ),
-}  # fmt: skip
+PUBLISHED = (
+    setpoint_key("bench"),
+    event_key("bench"),
+    stream_key("bench", "state"),
+    stream_key("bench", "command"),
+    schema_key("bench", "state"),
+    event_key("run"),
+    "lab/nobody/state",
+    "lab/nobody/event",
+)
+ASKED = (
+    *(command_key("bench", name) for name in ("status", "set", "safe", "lease", "estop", "shutdown")),
+    *(command_key("@run", name) for name in ("status", "pause", "resume", "stop", "abort", "mark")),
+    schema_key("bench", "state"),
+    ARRIVED,
+)
+KEYS = (*(("put", key) for key in PUBLISHED), *(("ask", key) for key in ASKED))
 
 
 def intrusion(
@@ -175,8 +174,8 @@ def main() -> None:
         stack.enter_context(twin)
         relay = Relay(address)
         stack.callback(relay.close)
-        for key, how in KEYS.items():
-            if options.only and not any(part in key for part in options.only.split(",")):
+        for how, key in KEYS:
+            if options.only and not any(part in f"{how} {key}" for part in options.only.split(",")):
                 continue
             trials = []
             for _ in range(options.repeat):

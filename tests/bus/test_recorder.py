@@ -244,3 +244,18 @@ def test_a_killed_recorder_leaves_what_it_flushed(bus, tmp_path):
     assert len(data) > 100
     assert data.lost == 0
     assert np.array_equal(data.values, batch(int(data.seq[0]), len(data)).values)
+
+
+def test_what_strangers_publish_is_left_out_and_said(bus, tmp_path):
+    with Recorder(bus, tmp_path / "a.mcap"), StreamPublisher(bus, "bench", STREAM) as publisher:
+        publisher.put(batch(0, 5))
+        for key in (stream_key("bench", "state"), "lab/nobody/event", "lab/bench/@schema/state"):
+            for _ in range(20):
+                bus.session.put(key, b"false")
+        publisher.put(batch(5, 5))
+    recording = read_recording(tmp_path / "a.mcap")
+    (data,) = recording.streams
+    assert (len(data), data.lost) == (10, 0)
+    said = [str(event.body["message"]) for event in recording.events if event.body.get("kind") == "rejected"]
+    for key in (stream_key("bench", "state"), "lab/nobody/event", "lab/bench/@schema/state"):
+        assert any(f"refused at {key}: not authenticated" in text for text in said), said

@@ -208,7 +208,7 @@ def test_whatever_comes_in_the_emergency_stop_is_heard(start_run: Callable[[], R
     assert result.exit_status == 1 and "emergency stop by a test" in result.reason
     recording = read_recording(result.path)
     rejected = [event for event in recording.events if event.body.get("kind") == "rejected"]
-    assert {event.device for event in rejected} == {"bench", "run"}
+    assert {event.device for event in rejected} == {"bench", "recorder", "run"}
     assert len(rejected) < 200, "not every one is reported"
 
 
