@@ -56,7 +56,10 @@ ASKED = (
     schema_key("bench", "state"),
     ARRIVED,
 )
-KEYS = (*(("put", key) for key in PUBLISHED), *(("ask", key) for key in ASKED))
+NOBODY = ("nobody", "")
+"""Runs that nobody attacks, for as long: a machine that is busy otherwise may end these, too."""
+
+KEYS = (*[NOBODY] * 4, *(("put", key) for key in PUBLISHED), *(("ask", key) for key in ASKED))
 
 
 def intrusion(
@@ -109,18 +112,20 @@ class Attacked:
             self.process.terminate()
         self.process.wait(30)
 
-    def finish(self) -> tuple[int, str]:
-        _, said = self.process.communicate(timeout=30)
-        return self.process.returncode, said.strip()[-300:]
+    def finish(self) -> int:
+        self.process.communicate(timeout=30)
+        return self.process.returncode
 
-    def recorded(self) -> dict[str, int]:
-        """What its recording says was refused, by its first words."""
-        found: Counter[str] = Counter()
-        for path in self._directory.glob("*.mcap"):
-            for event in read_recording(path).events:
-                if event.body.get("kind") == "rejected":
-                    found[str(event.body.get("message")).split(" (")[0][:140]] += 1
-        return dict(found.most_common(8))
+    def recorded(self) -> dict[str, Any]:
+        """Why it ended, and what its recording says was refused, by its first words."""
+        (path,) = self._directory.glob("*.mcap")
+        recording = read_recording(path)
+        found = Counter(
+            str(event.body.get("message")).split(" (")[0][:140]
+            for event in recording.events
+            if event.body.get("kind") == "rejected"
+        )
+        return {"reason": recording.metadata["end"].get("reason"), "reported": dict(found.most_common(8))}
 
 
 def attacked(relay: Relay, key: str, how: str) -> dict[str, Any]:
@@ -130,17 +135,26 @@ def attacked(relay: Relay, key: str, how: str) -> dict[str, Any]:
         directory = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         run = Attacked(relay, directory, stack)
         for attack, rate in ATTACKS.items():
-            process = intrusion(run.endpoint, key, how, attack, 1.5, rate)
-            found["sent"][f"{attack}, {rate:g}/s"] = count_of(process)
+            if how == "nobody":
+                time.sleep(2.5)
+            else:
+                process = intrusion(run.endpoint, key, how, attack, 1.5, rate)
+                found["sent"][f"{attack}, {rate:g}/s"] = count_of(process)
             if relay.safe or run.process.poll() is not None:
                 found["moved_by"].append(f"{attack}, {rate:g}/s")
                 break
         else:
             found["refused"] = run.status()["refused"]
-            found |= pressed_in_a_flood(relay, run, key, how)
-        found["exit_status"], found["said"] = run.finish()
-        found["reported"] = run.recorded()
+            found |= pressed_in_a_flood(relay, run, key, how) if how != "nobody" else stopped(run)
+        found["exit_status"] = run.finish()
+        found |= run.recorded()
+    found["load_average"] = round(os.getloadavg()[0], 1)
     return found
+
+
+def stopped(run: Attacked) -> dict[str, Any]:
+    ask(run.bus, command_key("@run", "stop"), {"reason": "enough"}, 10.0, patience=10.0)
+    return {}
 
 
 def pressed_in_a_flood(relay: Relay, run: Attacked, key: str, how: str) -> dict[str, Any]:
@@ -177,20 +191,23 @@ def main() -> None:
         for how, key in KEYS:
             if options.only and not any(part in f"{how} {key}" for part in options.only.split(",")):
                 continue
-            trials = []
+            trials = result["keys"].setdefault(f"{how} {key}".strip(), [])
             for _ in range(options.repeat):
                 try:
                     trials.append(attacked(relay, key, how))
                 except (LabhilError, TimeoutError, ValueError) as error:
                     trials.append({"not_set_up": str(error)})
                 latch.release()
-            result["keys"][f"{how} {key}"] = trials
-            print(f"{how} {key}: {trials}", file=sys.stderr, flush=True)
+            print(f"{how} {key}: {trials[-1]}", file=sys.stderr, flush=True)
     stops = [t["safe_after_ms"] for ts in result["keys"].values() for t in ts if "safe_after_ms" in t]
     result["largest_ms"] = max(stops, default=None)
     trials = [t for ts in result["keys"].values() for t in ts]
     result["made_safe_by_the_flood"] = sum(t.get("safe_before_the_stop", False) for t in trials)
-    result["moved"] = [key for key, ts in result["keys"].items() if any(t.get("moved_by") for t in ts)]
+    result["moved"] = {
+        key: [t["reason"] for t in ts if t.get("moved_by")]
+        for key, ts in result["keys"].items()
+        if any(t.get("moved_by") for t in ts)
+    }
     result["machine"] = {"cores": os.cpu_count(), "python": platform.python_version()}
     tell(result, options.out)
 
