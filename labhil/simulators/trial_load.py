@@ -16,6 +16,7 @@ from typing import Any
 
 from labhil.errors import UsageError
 from labhil.extras import load_optional
+from labhil.terminal import show
 
 CPU_SECONDS = 8
 """Processor time for a file; meshes of a robot take one or two seconds."""
@@ -94,7 +95,7 @@ def main() -> None:
 
 
 def _tell(text: str) -> int:
-    print(text)
+    show(text)
     return 1
 
 
