@@ -6,7 +6,9 @@ of zeros. Before anything is unpacked, what a part claims is held against these 
 
 from __future__ import annotations
 
+import errno
 from dataclasses import dataclass
+from pathlib import Path
 
 RATIO = 255
 """Bytes of content for a byte of file. It is the most that LZ4, which our recorder writes, can reach, so no
@@ -28,6 +30,13 @@ the one before in its number and its times, which no general packer stores in le
 
 class ImplausibleError(ValueError):
     """What a file claims to hold is out of all proportion to its size."""
+
+
+def read_file(path: Path) -> bytes:
+    """Return the bytes of a file or a pipe; OSError for a device, which may have no end."""
+    if path.is_char_device():
+        raise OSError(errno.EINVAL, "expected a file, found a device")
+    return path.read_bytes()
 
 
 def content_bound(size: int) -> int:

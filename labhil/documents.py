@@ -7,9 +7,11 @@ a number of thousands of digits with a plain ValueError. Here all of that is a D
 from __future__ import annotations
 
 import json
+import re
 import sys
 import tomllib
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeGuard
 
 DEEPEST = 64
@@ -17,8 +19,36 @@ DEEPEST = 64
 whatever walks their result by recursion hold out to some hundreds."""
 
 
+LARGEST = 1 << 24
+"""Bytes of a document (16 MiB): our largest has a hundredth, and so many of empty lists take 400 MB."""
+
+_DOTTED = re.compile(
+    r"""(?:^|[{,])[ \t]*\[{0,2}[ \t]*"""
+    rf"""(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{DEEPEST}}}""",
+    re.MULTILINE,
+)
+"""A key with as many dots as levels are too many: the parser of TOML takes their square in memory."""
+
+
 class DocumentError(ValueError):
     """A text that is no JSON or TOML, or nested too deeply."""
+
+
+def read_document(path: Path) -> str:
+    """Return the text of a file, which may be a device without an end.
+
+    Raises:
+        OSError: It cannot be read.
+        DocumentError: It is no UTF-8, or larger than ``LARGEST``.
+    """
+    with path.open("rb") as file:
+        content = file.read(LARGEST + 1)
+    if len(content) > LARGEST:
+        raise DocumentError(f"expected at most {LARGEST} bytes, found more")
+    try:
+        return content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise DocumentError(str(error)) from error
 
 
 def parse_json(text: str | bytes, *, constant: Callable[[str], Any] | None = None) -> Any:
@@ -42,6 +72,8 @@ def parse_json(text: str | bytes, *, constant: Callable[[str], Any] | None = Non
 
 def parse_toml(text: str) -> dict[str, Any]:
     """Return the tables of a TOML text; DocumentError when it is none, or nested deeper than ``DEEPEST``."""
+    if _DOTTED.search(text):
+        raise DocumentError(_too_deep())
     try:
         data = tomllib.loads(text)
     except ValueError as error:

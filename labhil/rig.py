@@ -17,7 +17,7 @@ from pydantic import (
 )
 
 from labhil.complaints import explain, fields_at
-from labhil.documents import DocumentError, parse_toml
+from labhil.documents import DocumentError, parse_toml, read_document
 from labhil.errors import MissingExtraError, RigFileError, UsageError, suggestion
 from labhil.kinds import Known, RigKind, kind_named, kind_names
 from labhil.python_file import object_of
@@ -158,8 +158,8 @@ def load_rig(path: Path) -> RigFile:
     if is_simulator(str(path)):
         return simulator_rig(str(path))
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_document(path)
+    except (OSError, DocumentError) as error:
         raise RigFileError(f"{path}: cannot be read as a rig file (TOML): {error}") from error
     rig = parse_rig(_with_kind(text, path), path).model_copy(update={"text": text})
     found = {name: rig.known_file(name) for name, what in rig.kind.known.items() if what.table}

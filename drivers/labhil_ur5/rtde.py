@@ -25,6 +25,8 @@ CHUNK = 1 << 16
 HEADER = struct.Struct(">HB")
 
 ASK_PROTOCOL, ASK_VERSION, SETUP_OUTPUTS, START, DATA = b"VvOSU"
+LETTERS = b"VvOSUMIP"
+"""Of all packages that a controller may send; ``M`` is a text, ``I`` and ``P`` answer what we never ask."""
 
 FORMATS = {
     "BOOL": "?",
@@ -56,9 +58,10 @@ class Packages:
         try:
             while len(rest) - start >= HEADER.size:
                 size, letter = HEADER.unpack_from(rest, start)
-                if size < HEADER.size:
+                if size < HEADER.size or letter not in LETTERS:
                     raise ProtocolError(
-                        f"{self._who}: expected RTDE packages, found one of {size} bytes: is this a UR?"
+                        f"{self._who}: expected RTDE packages, found one of {size} bytes and kind {letter}: "
+                        "is this a UR?"
                     )
                 if len(rest) - start < size:
                     break

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from labhil.analysis.results import Reference, SavedModel
-from labhil.documents import parse_json
+from labhil.documents import parse_json, read_document
 from labhil.errors import ModelFileError
 from labhil.identify.extended import Coordinate
 from labhil.identify.kept_curve import KeptCurve, ModelUnderCurves
@@ -68,7 +68,7 @@ def _stating(curve: KeptCurve) -> dict[str, Any]:
 def _stated(path: Reference) -> list[Mapping[str, Any]]:
     """The fields ``curve`` and ``further_curves`` of a file that was found to be a model's elsewhere."""
     try:
-        whole = path.data if isinstance(path, SavedModel) else parse_json(path.read_text(encoding="utf-8"))
+        whole = path.data if isinstance(path, SavedModel) else parse_json(read_document(path))
         stated = [whole.get("curve"), *(whole.get("further_curves") or ())]
     except (OSError, ValueError, AttributeError, TypeError):
         return []

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from labhil.documents import parse_json, read_document
 from labhil.errors import ModelFileError, UsageError
 
 DIAGNOSIS, FIT = "labhil.diagnosis/1", "labhil.fit/1"
@@ -33,7 +33,7 @@ def read_found(path: Path) -> Found:
         UsageError: A recording is not there, or is another one than it was.
     """
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = parse_json(read_document(path))
     except (OSError, ValueError) as error:
         raise ModelFileError(f"{path}: cannot be read as JSON: {error}") from error
     schema = data.get("schema") if isinstance(data, dict) else None

@@ -14,7 +14,7 @@ import numpy as np
 from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.answer import Curve, Diagnosis
 from labhil.diagnose.locate import Location
-from labhil.documents import is_finite_number, parse_json
+from labhil.documents import is_finite_number, parse_json, read_document
 from labhil.errors import ModelFileError
 from labhil.identify.fit import Fit
 from labhil.identify.score import Figures, Score
@@ -384,7 +384,7 @@ def _number(path: Reference, name: str, value: Any) -> float | None:
 def _model_in(path: Reference) -> Mapping[str, Any]:
     """The part of a result that holds ``terms`` and ``parameters``."""
     try:
-        data = path.data if isinstance(path, SavedModel) else parse_json(path.read_text(encoding="utf-8"))
+        data = path.data if isinstance(path, SavedModel) else parse_json(read_document(path))
     except (OSError, ValueError) as error:
         raise ModelFileError(f"{path}: cannot be read as a model (JSON of `labhil fit`): {error}") from error
     schema = data.get("schema") if isinstance(data, dict) else None

@@ -10,6 +10,7 @@ from labhil.api.diagnosis import Diagnosis
 from labhil.api.fit import Fit
 from labhil.api.inputs import PathLike, path_of
 from labhil.api.verification import Verification
+from labhil.bounds import read_file
 from labhil.errors import ModelFileError
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def load(path: PathLike) -> Fit | Diagnosis | Verification | Comparison:
     """
     file = path_of(path, "path")
     try:
-        content = file.read_bytes()
+        content = read_file(file)
     except OSError as error:
         raise ModelFileError(
             f"{file}: expected the JSON of a result, cannot be read: {error.strerror}"

@@ -33,6 +33,12 @@ MOST_KEYS = 16
 OLDEST = 10.0
 """s that a message may be on its way: longer than any question of ours waits for its answer."""
 
+OLDEST_SAMPLE = 120.0
+"""The same of what devices publish: a recorder that was frozen for a minute takes it in afterwards."""
+
+TRANSIT = 1.0
+"""s that a sample may have been on its way when somebody begins to listen."""
+
 WINDOW = 64
 """Numbers below the highest that may still come: two threads of one process may overtake each other."""
 
@@ -78,11 +84,16 @@ class _Seen:
 
 
 class Verifier:
-    """Checks the messages of one place (a queryable, a subscription); used by one thread."""
+    """Checks the messages of one place (a queryable, a subscription); used by one thread.
 
-    def __init__(self, keys: Sequence[bytes]) -> None:
+    ``oldest`` is how long one may have been on its way, ``transit`` how long before this place existed it may
+    have been sent, s: what is sent all the time is on its way when somebody begins to listen.
+    """
+
+    def __init__(self, keys: Sequence[bytes], oldest: float = OLDEST, transit: float = 0.0) -> None:
         self._keys = tuple(keys)
-        self._began_ns = time.monotonic_ns()
+        self._oldest = oldest
+        self._began_ns = time.monotonic_ns() - round(transit * 1e9)
         self._seen: dict[bytes, _Seen] = {}
 
     def objection(self, key_expression: str, payload: bytes, attachment: bytes | None) -> str:
@@ -98,7 +109,7 @@ class Verifier:
         _, sender, number, t_ns = HEAD.unpack(head)
         now = time.monotonic_ns()
         # what was sent before this place existed can only be a copy
-        if t_ns < self._began_ns or not -OLDEST * 1e9 < now - t_ns < OLDEST * 1e9:
+        if t_ns < self._began_ns or not -self._oldest * 1e9 < now - t_ns < self._oldest * 1e9:
             return "replayed: its code was made at another time"
         seen = self._seen.get(sender) or _Seen()
         if not seen.is_new(number):
@@ -117,7 +128,7 @@ class Verifier:
 
     def _forget(self, now: int) -> None:
         """Senders of whom nothing can come any more that is not refused as too old."""
-        self._seen = {s: seen for s, seen in self._seen.items() if now - seen.at_ns < 2 * OLDEST * 1e9}
+        self._seen = {s: seen for s, seen in self._seen.items() if now - seen.at_ns < 2e9 * self._oldest}
 
 
 class Refusals:

@@ -55,6 +55,7 @@ class StreamPublisher:
         self._closing = threading.Event()
         self._session = bus.session
         key = stream_key(device, stream.name, namespace)
+        self._bus, self._key = bus, key
         self._publisher = bus.session.declare_publisher(
             key, congestion_control=zenoh.CongestionControl.BLOCK, priority=zenoh.Priority.DATA
         )
@@ -63,7 +64,6 @@ class StreamPublisher:
         self._schema = serve(bus, self._schema_key, lambda _: self._reply)
         self._thread = SupervisedThread(self._run, f"publish {key}")
         self._thread.start()
-        self._bus = bus
         bus.attend(self)
 
     def failure(self) -> str:
@@ -127,7 +127,7 @@ class StreamPublisher:
 
     def _publish(self, payloads: list[bytes]) -> None:
         for payload in payloads:
-            self._publisher.put(payload)
+            self._publisher.put(payload, attachment=self._bus.sign(self._key, payload))
 
     def _end_queue(self) -> None:
         """Let the thread end after what is queued; one that has died takes nothing from a full queue."""
@@ -140,8 +140,12 @@ class StreamPublisher:
 
     def _tell_schema(self) -> None:
         """Say what the stream is before its first sample: who comes later asks, and may come too late."""
+        told = dump(self._reply)
         self._session.put(
-            self._schema_key, dump(self._reply), congestion_control=zenoh.CongestionControl.BLOCK
+            self._schema_key,
+            told,
+            attachment=self._bus.sign(self._schema_key, told),
+            congestion_control=zenoh.CongestionControl.BLOCK,
         )
 
     def _wait_for_a_listener(self) -> None:
@@ -187,7 +191,13 @@ def publish_event(bus: Bus, device: str, event: str | Mapping[str, Any], namespa
     body = {name: value[:LONGEST_TEXT] if isinstance(value, str) else value for name, value in body.items()}
     body.setdefault("t_ns", unix_ns())
     key = event_key(device, namespace)
+    payload = dump(body)
     try:
-        bus.session.put(key, dump(body), congestion_control=zenoh.CongestionControl.BLOCK)
+        bus.session.put(
+            key,
+            payload,
+            attachment=bus.sign(key, payload),
+            congestion_control=zenoh.CongestionControl.BLOCK,
+        )
     except zenoh.ZError as error:
         raise BusError(f"{key}: the event could not be published: {error}") from error

@@ -14,7 +14,7 @@ from typing import Protocol, Self
 
 import zenoh
 
-from labhil.bus.authentication import Signer, Verifier, new_key
+from labhil.bus.authentication import OLDEST, Signer, Verifier, new_key
 from labhil.bus.keys import ARRIVED
 from labhil.bus.register import keep_key, key_of
 from labhil.errors import BusError
@@ -38,8 +38,8 @@ class Part(Protocol):
 class Bus:
     """An open session, and the endpoint where other processes reach it (``tcp/127.0.0.1:PORT``).
 
-    ``keys`` are those of the sessions that it joined, or its own; what it asks and commands is signed with
-    them.
+    ``keys`` are those of the sessions that it joined, or its own; what it asks, commands and
+    publishes is signed with them.
     """
 
     session: zenoh.Session
@@ -47,18 +47,22 @@ class Bus:
     opened: float = field(default_factory=time.monotonic)
     keys: tuple[bytes, ...] = field(default=(), repr=False)
     _key_file: Path | None = None
-    _signer: list[Signer] = field(default_factory=list, repr=False)
+    _signers: dict[str, Signer] = field(default_factory=dict, repr=False)
     _parts: list[Part] = field(default_factory=list, repr=False)
 
     def sign(self, key_expression: str, payload: bytes) -> bytes:
-        """Return what is attached to a command to show that it comes from a holder of the session's key."""
-        if not self._signer:
-            self._signer.append(Signer(self.keys))
-        return self._signer[0].sign(key_expression, payload)
+        """Return what is attached to a message to show that it comes from a holder of the session's key.
 
-    def verifier(self) -> Verifier:
-        """Return what tells the commands of holders of the session's key from those of others."""
-        return Verifier(self.keys)
+        Each key expression has numbers of its own: what other threads publish overtakes none of its messages.
+        """
+        signer = self._signers.get(key_expression) or self._signers.setdefault(
+            key_expression, Signer(self.keys)
+        )
+        return signer.sign(key_expression, payload)
+
+    def verifier(self, oldest: float = OLDEST, transit: float = 0.0) -> Verifier:
+        """Return what tells the messages of holders of the session's key from those of others."""
+        return Verifier(self.keys, oldest, transit)
 
     def attend(self, part: Part) -> None:
         """Let :meth:`failure` look after something that works on this bus."""

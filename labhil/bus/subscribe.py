@@ -9,7 +9,7 @@ from typing import Self
 
 import zenoh
 
-from labhil.bus.authentication import Refusals
+from labhil.bus.authentication import OLDEST_SAMPLE, TRANSIT, Refusals
 from labhil.bus.keys import ARRIVED
 from labhil.bus.session import Bus
 from labhil.supervised import SupervisedThread
@@ -28,13 +28,22 @@ class Subscription:
     session's key is delivered, and the rest is counted there.
     """
 
-    def __init__(self, bus: Bus, key: str, on_samples: OnSamples, refusals: Refusals | None = None) -> None:
+    def __init__(
+        self,
+        bus: Bus,
+        key: str,
+        on_samples: OnSamples,
+        refusals: Refusals | None = None,
+        depth: int = CHANNEL_DEPTH,
+        *,
+        commands: bool = False,
+    ) -> None:
         self.error: Exception | None = None
         self._bus, self._key, self._closed = bus, key, False
         self._refusals = refusals
-        self._verifier = bus.verifier()
+        self._verifier = bus.verifier() if commands else bus.verifier(OLDEST_SAMPLE, TRANSIT)
         self._on_samples = on_samples
-        self._subscriber = bus.session.declare_subscriber(key, zenoh.handlers.FifoChannel(CHANNEL_DEPTH))
+        self._subscriber = bus.session.declare_subscriber(key, zenoh.handlers.FifoChannel(depth))
         # answered where samples are received, so never before one that was sent earlier
         answer: zenoh.handlers.Callback[zenoh.Query] = zenoh.handlers.Callback(
             lambda query: query.reply(ARRIVED, b""), indirect=False
@@ -81,24 +90,26 @@ class Subscription:
                 return  # undeclared, and nothing left
             arrived: dict[str, list[bytes]] = {}
             while sample is not None:
-                # a waiting sample pins kilobytes until its bytes are copied out
-                key, payload = str(sample.key_expr), sample.payload.to_bytes()
-                if self._admits(key, payload, sample):
-                    arrived.setdefault(key, []).append(payload)
+                self._sort_in(sample, arrived)
                 try:
                     sample = self._handler.try_recv()
                 except zenoh.ZError:
                     break
             self._deliver(arrived)
 
-    def _admits(self, key: str, payload: bytes, sample: zenoh.Sample) -> bool:
-        if self._refusals is None:
-            return True
-        attached = sample.attachment
-        objection = self._verifier.objection(key, payload, None if attached is None else attached.to_bytes())
-        if objection:
+    def _sort_in(self, sample: zenoh.Sample, arrived: dict[str, list[bytes]]) -> None:
+        key, attached, objection = str(sample.key_expr), sample.attachment, ""
+        if self._refusals is not None and attached is None:
+            objection = self._verifier.objection(key, b"", None)
+        else:
+            # a waiting sample pins kilobytes until its bytes are copied out
+            payload = sample.payload.to_bytes()
+            if self._refusals is not None and attached is not None:
+                objection = self._verifier.objection(key, payload, attached.to_bytes())
+            if not objection:
+                arrived.setdefault(key, []).append(payload)
+        if objection and self._refusals is not None:
             self._refusals.note(key, objection)
-        return not objection
 
     def _deliver(self, arrived: dict[str, list[bytes]]) -> None:
         for key, payloads in arrived.items():
@@ -110,9 +121,19 @@ class Subscription:
                 self.error = error
 
 
-def subscribe(bus: Bus, key: str, on_samples: OnSamples, refusals: Refusals | None = None) -> Subscription:
+def subscribe(
+    bus: Bus,
+    key: str,
+    on_samples: OnSamples,
+    refusals: Refusals | None = None,
+    depth: int = CHANNEL_DEPTH,
+    *,
+    commands: bool = False,
+) -> Subscription:
     """Call ``on_samples`` in a thread of its own with everything published under ``key``.
 
-    With ``refusals`` only with what is signed with the session's key.
+    With ``refusals`` only with what is signed with the session's key, of the last 10 s where it ``commands``
+    and of the last 120 s where it does not. Where more messages than ``depth`` wait, their senders wait, too:
+    who floods a key delays all others there by as many messages at most.
     """
-    return Subscription(bus, key, on_samples, refusals)
+    return Subscription(bus, key, on_samples, refusals, depth, commands=commands)

@@ -15,6 +15,7 @@ from typing import Self
 import numpy as np
 
 from labhil.bus.ask import ask
+from labhil.bus.authentication import Refusals
 from labhil.bus.keys import command_key, stream_key
 from labhil.bus.session import Bus, open_bus
 from labhil.bus.subscribe import subscribe
@@ -103,7 +104,7 @@ class Bench:
             self._device = host.wait_connected()
             self._codec = Codec(self._device.stream)
             key = stream_key(self._plan.name, self._device.stream.name)
-            resources.enter_context(subscribe(bus, key, self._take))
+            resources.enter_context(subscribe(bus, key, self._take, Refusals()))
             self._resources = resources.pop_all()
         return self
 

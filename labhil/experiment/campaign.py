@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from labhil.complaints import explain
-from labhil.documents import parse_json
+from labhil.documents import parse_json, read_document
 from labhil.errors import EmergencyStopError, LabhilError, RecordingError, RunStoppedError, UsageError
 from labhil.experiment.experiment import Experiment
 from labhil.experiment.plan import make_plan
@@ -165,7 +165,7 @@ def _begin(experiment: Experiment, points: tuple[Point, ...], path: Path, *, ane
 def load_campaign(path: Path) -> CampaignFile:
     """Read a campaign file; UsageError says what is wrong with it."""
     try:
-        data = parse_json(path.read_text(encoding="utf-8"))
+        data = parse_json(read_document(path))
     except (OSError, ValueError) as error:
         raise UsageError(f"{path}: cannot be read as a campaign file (JSON): {error}") from error
     try:

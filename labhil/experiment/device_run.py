@@ -44,6 +44,9 @@ PATIENCE = 10.0
 
 ASK_TIMEOUT = 2.0
 
+FOLLOWED = 2048
+"""Messages of a device that may wait, a fifth of a second at 10 kHz; a flood delays them by as many."""
+
 ALWAYS: Mapping[str, type[LabhilError]] = {"estop": EmergencyStopError}
 UNLESS_RESTING: Mapping[str, type[LabhilError]] = {"tripped": LimitTrippedError, "interlock": InterlockError}
 WHILE_RUNNING: Mapping[str, tuple[type[LabhilError], str]] = {
@@ -113,7 +116,7 @@ class DeviceRun:
         with ExitStack() as resources:
             name = self.plan.name
             self._subscriptions = [
-                resources.enter_context(subscribe(self._bus, key, take))
+                resources.enter_context(subscribe(self._bus, key, take, self._refusals, depth=FOLLOWED))
                 for key, take in (
                     (event_key(name), self._take_events),
                     (stream_key(name, self._stream_name), self._take_samples),

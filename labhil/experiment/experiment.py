@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from labhil.complaints import explain, unknown_key
-from labhil.documents import DocumentError, parse_toml
+from labhil.documents import DocumentError, parse_toml, read_document
 from labhil.errors import ExperimentFileError, UnknownNameError, suggestion
 from labhil.experiment.checks import CheckSection, no_such_device
 from labhil.experiment.condition import StatedCondition
@@ -27,7 +27,7 @@ from labhil.experiment.excitation.table import Between
 from labhil.experiment.excitation.tones import PhaseRule, Sweep
 from labhil.experiment.overlap import refuse_conditions_beside_others, refuse_overlaps
 from labhil.experiment.sweep import MOST_RUNS, SweepSection
-from labhil.rig import RigFile, default_rig, load_rig
+from labhil.rig import RigFile, default_rig, is_simulator, load_rig
 from labhil.toml_text import to_toml
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -180,9 +180,9 @@ class Step(_Section):
     @classmethod
     def _knows_its_keys(cls, data: object) -> object:
         """Answer a wrong key with those that this excitation takes, not with those of all of them."""
-        if not isinstance(data, Mapping) or data.get("excitation") not in EXCITATIONS:
+        name = data.get("excitation") if isinstance(data, Mapping) else None
+        if not isinstance(data, Mapping) or not isinstance(name, str) or name not in EXCITATIONS:
             return data
-        name = str(data["excitation"])
         takes = EXCITATIONS[name].understood()
         of_any_step = [key for key in cls.model_fields if key not in KEYS_OF_EXCITATIONS]
         for key in data:
@@ -286,7 +286,13 @@ class WithDevices(_Section):
         name = self.devices[device].rig
         if name is None:
             return default_rig(kind)
-        rig = load_rig(self.path.parent / name)
+        file = self.path.parent / name
+        if not is_simulator(str(file)) and not file.is_file():
+            found = "something else" if file.exists() else "none"
+            raise ExperimentFileError(
+                f"{self.path}: devices.{device}.rig: expected the rig file {file}, found {found}"
+            )
+        rig = load_rig(file)
         if rig.kind.name != kind:
             raise ExperimentFileError(
                 f"{self.path}: devices.{device}.rig: {name} is of kind {rig.kind.name!r}, "
@@ -346,8 +352,8 @@ class Experiment(WithDevices):
 def load_experiment(path: Path) -> Experiment:
     """Read an experiment file; ExperimentFileError names the file, the field and what was expected."""
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_document(path)
+    except (OSError, DocumentError) as error:
         raise ExperimentFileError(f"{path}: cannot be read as an experiment file (TOML): {error}") from error
     return parse_experiment(text, path)
 

@@ -7,6 +7,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from labhil.documents import DocumentError, read_document
 from labhil.errors import ExperimentFileError
 from labhil.experiment.experiment import DeviceSection, WithDevices, parse_devices
 
@@ -42,8 +43,8 @@ ANALYSES = ("fit", "diagnose")
 def load_lab(path: Path) -> Lab:
     """Read a lab file; ExperimentFileError names the file, the field and what was expected."""
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_document(path)
+    except (OSError, DocumentError) as error:
         raise ExperimentFileError(f"{path}: cannot be read as a lab file (TOML): {error}") from error
     lab = parse_devices(text, path, Lab)
     for name in lab.lab.analyse:

@@ -213,7 +213,10 @@ def _values(place: str, timed: TimedStep, command: Signal, rate: float) -> Float
         )
     if command.width > 1 and timed.step.stabilise is not None:
         raise ExperimentFileError(f"{place}.stabilise: only for a plain signal, {command.name} is a vector")
-    return sampled(excitation, timed.step.duration, rate).reshape(-1, command.width)
+    try:
+        return sampled(excitation, timed.step.duration, rate).reshape(-1, command.width)
+    except (ValueError, OverflowError) as error:
+        raise ExperimentFileError(f"{place}: the excitation cannot be calculated: {error}") from error
 
 
 def _safe_values(spec: DriverSpec, command: Signal, values: FloatArray) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -136,7 +137,7 @@ class Term:
 def unkeyed(key: str) -> tuple[str, int | None]:
     """Name and joint that :func:`keyed` made a key of."""
     name, _, joint = key.removesuffix("]").partition("[")
-    return name, int(joint) if joint else None
+    return (name, int(joint)) if re.fullmatch("[0-9]{1,4}", joint) else (key, None)
 
 
 def listed(keys: Iterable[str]) -> list[str]:

@@ -179,9 +179,10 @@ def _take_chunk(contents: Contents, raw: bytes, budget: Budget) -> None:
 def _records(raw: bytes) -> Iterator[tuple[int, int, int, int]]:
     """Walk a chunk: opcode, start and length of the body, and its first two bytes as a number."""
     position, end = 0, len(raw)
-    padded = raw + bytes(2)
     while position < end:
-        opcode, length, channel = _MESSAGE.unpack_from(padded, position)
+        # the last record may have a body shorter than two bytes
+        head = raw[position : position + _MESSAGE.size].ljust(_MESSAGE.size, b"\0")
+        opcode, length, channel = _MESSAGE.unpack(head)
         position += _RECORD.size
         if opcode == 0 or length > end - position:
             raise ValueError("expected whole records in a chunk, found one that is not")

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from labhil.documents import parse_json
+from labhil.documents import LARGEST, parse_json
 from labhil.errors import LabhilError, UsageError
 from labhil.recording.contents import FREE_TEXT, how_it_ended, started_at, tags_of
 from labhil.recording.reader import Recording, read_recording
@@ -20,7 +20,7 @@ RESULTS = {
     "labhil.comparison/1": "comparison",
     "labhil.campaign/1": "campaign",
 }
-LARGEST_RESULT = 64 << 20
+LARGEST_RESULT = LARGEST
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from mcap.records import Channel
 
-from labhil.bounds import ImplausibleError
+from labhil.bounds import ImplausibleError, read_file
 from labhil.codec import Codec, stream_from_json
 from labhil.documents import parse_json
 from labhil.errors import ProtocolError, RecordingError, suggestion
@@ -312,7 +312,7 @@ def _foreign(contents: Contents) -> tuple[str, ...]:
 
 def _bytes_of(path: Path) -> bytes:
     try:
-        data = path.read_bytes()
+        data = read_file(path)
     except OSError as error:
         part = Path(f"{path}.part")
         beside = f"; beside it lies {part}, which was not finished" if part.exists() else ""

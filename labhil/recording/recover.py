@@ -17,6 +17,7 @@ from mcap.records import Message as StoredMessage
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
+from labhil.bounds import read_file
 from labhil.errors import RecordingError, RecordingFailedError
 from labhil.recording.chunks import is_mcap, scan
 from labhil.recording.reorder import Ordered, reorder
@@ -206,7 +207,7 @@ def recover(source: Path, out: Path, *, keep_doubtful: bool = False) -> Recovery
 
 def _bytes_of(source: Path) -> bytes:
     try:
-        data = source.read_bytes()
+        data = read_file(source)
     except OSError as error:
         raise RecordingError(f"{source}: cannot be read: {error.strerror}") from error
     if not data:

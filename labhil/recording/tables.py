@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from labhil.bounds import read_file
 from labhil.errors import DiskFailedError, RecordingFailedError, TableError, suggestion
 from labhil.recording.bad_rows import WHY, bad_rows, finite_rows
 from labhil.recording.channel_keys import held_as_stated, with_channel_keys
@@ -195,7 +196,7 @@ def _content(path: Path) -> tuple[bytes, str]:
     """The bytes of a file and their SHA-256; of a folder none, and the SHA-256 over its files by name."""
     try:
         if not path.is_dir():
-            content = path.read_bytes()
+            content = read_file(path)
             return content, hashlib.sha256(content).hexdigest()
         digest = hashlib.sha256()
         for inner in sorted(path.iterdir()):

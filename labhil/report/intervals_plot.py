@@ -18,10 +18,13 @@ WIDEST = 120.0
 
 UNSURE = "#8a8f96"
 
+MOST_ROWS = 200
+"""Parameters that a picture shows, of which the table beside it has all."""
+
 
 def drawable(rows: Sequence[Parameter]) -> list[Parameter]:
-    """Those with a value and an interval."""
-    return [row for row in rows if row.value and row.ci99 and None not in row.ci99]
+    """Those with a value and an interval, ``MOST_ROWS`` at most."""
+    return [row for row in rows if row.value and row.ci99 and None not in row.ci99][:MOST_ROWS]
 
 
 def intervals_figure(rows: Sequence[Parameter]) -> Figure:

@@ -50,6 +50,9 @@ ANSWER_TIMEOUT = 1.0
 LONGEST_STALL = 0.05
 """What one turn of the loop may count for in the watchdog, s: our own stalls are nobody's silence."""
 
+SETPOINTS = 256
+"""Streamed setpoints that may wait: behind more, the true ones of a flooded host would come too late."""
+
 STEADY = (HostState.IDLE, HostState.ACTIVE)
 
 
@@ -116,7 +119,14 @@ class DeviceControl:
             resources.callback(self._commands.close)
             for name in COMMANDS:
                 resources.enter_context(self._answering(name))
-            setpoints = subscribe(bus, setpoint_key(config.device), self._take_setpoints, self._refusals)
+            setpoints = subscribe(
+                bus,
+                setpoint_key(config.device),
+                self._take_setpoints,
+                self._refusals,
+                depth=SETPOINTS,
+                commands=True,
+            )
             resources.enter_context(setpoints)
             resources.enter_context(announce(bus, config.device))
             self._resources = resources.pop_all()
@@ -363,6 +373,10 @@ class DeviceControl:
 
     def _follow(self, payload: bytes, now: float) -> dict[str, Any]:
         setpoint = Setpoint.from_bytes(payload)
+        if objection := self._lease.objection(setpoint.token, now):
+            # no fault of who holds it: what a second operator sends must not end the first one's run
+            self._refusals.note(setpoint_key(self._config.device), objection)
+            return {}
         self._admit(setpoint, now)
         self._output.limits.refuse_unusable(setpoint.values)
         self._apply(setpoint, now)

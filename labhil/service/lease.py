@@ -40,9 +40,15 @@ class Lease:
         """Extend the lease; CommandRefusedError when ``token`` is not the holder's, or it has run out."""
         if not self.is_held(now):
             raise CommandRefusedError("nobody holds the lease: it was never taken, ran out, or was revoked")
-        if not secrets.compare_digest(token.encode(), self._token.encode()):
-            raise CommandRefusedError(f"the lease is held by {self.holder!r}; this is not its token")
+        if objection := self.objection(token, now):
+            raise CommandRefusedError(objection)
         self._expires = now + DURATION
+
+    def objection(self, token: str, now: float) -> str:
+        """Return who else holds the lease; empty where nobody does, or it is whose ``token`` this is."""
+        if not self.is_held(now) or secrets.compare_digest(token.encode(), self._token.encode()):
+            return ""
+        return f"the lease is held by {self.holder!r}; this is not its token"
 
     def revoke(self) -> None:
         """End the lease, whoever holds it."""

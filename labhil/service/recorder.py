@@ -116,7 +116,9 @@ class Recorder:
         self._bus = bus
         self._channels: dict[str, RecordedStream] = {}
         self._told: dict[tuple[str, str], bytes] = {}
-        self._refusals = Refusals(self._note)
+        # what is refused is refused in the threads that listen, and written in the one that writes
+        self._remarks: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._refusals = Refusals(self._remarks.put)
         self._waiting = 0
         self._queue: queue.SimpleQueue[tuple[str, list[bytes]] | None] = queue.SimpleQueue()
         self._arrived_at = time.monotonic()
@@ -130,8 +132,8 @@ class Recorder:
             for name, table in (metadata or {}).items():
                 self._writer.metadata(name, table)
             self._writer.flush()
-            self._schemas = subscribe(bus, ALL_SCHEMAS, self._receive_schema)
-            self._subscription = subscribe(bus, ALL_STREAMS, self._receive)
+            self._schemas = subscribe(bus, ALL_SCHEMAS, self._receive_schema, self._refusals)
+            self._subscription = subscribe(bus, ALL_STREAMS, self._receive, self._refusals)
         except BaseException:
             self._writer.abandon()
             for begun in (self._writer.path, self._writer.part):
@@ -278,6 +280,7 @@ class Recorder:
         self._writer.event(device, t_ns, body)
 
     def _tick(self) -> None:
+        self._write_remarks()
         for channel in self._channels.values():
             if channel.waiting:
                 self._store(channel)
@@ -367,6 +370,7 @@ class Recorder:
     def _write_rest(self, exit_status: str, reason: str) -> None:
         """The last status, what nobody explained, and the end of the file."""
         self._waits = False
+        self._write_remarks()
         for channel in self._channels.values():
             channel.asked_at = float("-inf")
             if channel.waiting:
@@ -402,6 +406,10 @@ class Recorder:
             f"/{channel.device}/{channel.stream}: {len(channel.waiting)} samples came in, but nobody said "
             f"what they are ({channel.trouble}); their bytes are attached as {name}"
         )
+
+    def _write_remarks(self) -> None:
+        while not self._remarks.empty():
+            self._writer.event("recorder", unix_ns(), {"kind": "rejected", "message": self._remarks.get()})
 
     def _note(self, text: str) -> None:
         self._writer.event("recorder", unix_ns(), {"text": text})

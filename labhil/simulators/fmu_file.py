@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from ctypes import c_double
@@ -11,6 +12,7 @@ from tempfile import mkdtemp
 from typing import Any
 from weakref import finalize
 
+from labhil.bounds import refuse_claim
 from labhil.errors import UsageError
 from labhil.extras import load_optional
 
@@ -40,6 +42,10 @@ class FmuFile:
         if not path.is_file():
             raise UsageError(f"expected the FMU {path}, found none")
         try:
+            with zipfile.ZipFile(path) as packed:
+                refuse_claim(
+                    "the FMU", sum(part.file_size for part in packed.infolist()), path.stat().st_size
+                )
             self.description: Any = fmpy.read_model_description(str(path))
             self._folder = mkdtemp(prefix="labhil-fmu-")
             finalize(self, rmtree, self._folder, ignore_errors=True)

@@ -13,6 +13,7 @@ from labhil.errors import UsageError
 from labhil.extras import load_optional
 from labhil.simulators.mechanism import PURPOSE, Mechanism
 from labhil.simulators.simulator import Simulator
+from labhil.simulators.trial_load import load_apart
 from labhil.simulators.xml_text import XmlText
 
 
@@ -99,14 +100,9 @@ class Described:
 
 def load_model(file: Path) -> Any:
     """Load a file with MuJoCo; UsageError with what MuJoCo says of it."""
-    mujoco = load_optional("mujoco", PURPOSE)
     if not file.is_file():
         raise UsageError(f"expected the MuJoCo file {file}, found none")
-    try:
-        return mujoco.MjModel.from_xml_path(str(file))
-    except ValueError as error:
-        said = " ".join(str(error).split())
-        raise UsageError(f"{file}: expected a file that MuJoCo loads (MJCF, URDF), found: {said}") from error
+    return load_apart(file, PURPOSE)
 
 
 def names_of(model: Any) -> Names:

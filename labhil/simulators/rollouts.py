@@ -7,12 +7,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from labhil.errors import UsageError
 from labhil.extras import load_optional
 from labhil.physics.model import Record, Windows
 from labhil.signals import FloatArray
 from labhil.simulators.stepped import Nodes
 
 THREADS = 2
+
+MOST_STEPS = 10_000_000
+"""Steps of all windows together: they take 400 MB."""
 
 
 class Driven(NamedTuple):
@@ -54,7 +58,12 @@ def roll_out(
     """
     mujoco, rollout = load_optional("mujoco", "an MJCF file"), load_optional("mujoco.rollout", "an MJCF file")
     step, begins = float(model.opt.timestep), record.t[windows.first]
-    steps = int(np.ceil(np.max(record.t[windows.last - 1] - begins) / step)) + 1
+    steps = int(min(np.ceil(np.max(record.t[windows.last - 1] - begins) / step), MOST_STEPS)) + 1
+    if steps * len(begins) > MOST_STEPS:
+        raise UsageError(
+            f"expected a MuJoCo file whose time step makes at most {MOST_STEPS} steps of a recording, found "
+            f'timestep="{step:g}"'
+        )
     edges = begins[:, None] + step * np.arange(steps + 1)
     control = means(nodes, edges)[:, :, None]
     if push is not None:

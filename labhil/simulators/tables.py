@@ -132,7 +132,14 @@ def _asked(ask: Ask, x: FloatArray, reach: Reach, inputs: int, velocities: int) 
     u = 0.5 * (reach.u_low + reach.u_high) + 0.5 * (reach.u_high - reach.u_low) * _points(inputs)
     v = reach.speed * _points(velocities)
     places, drives, speeds = np.meshgrid(x, u, v, indexing="ij")
-    return ask(places.ravel(), speeds.ravel(), drives.ravel()).reshape(places.shape)
+    found = ask(places.ravel(), speeds.ravel(), drives.ravel()).reshape(places.shape)
+    if not np.isfinite(found).all():
+        raise UsageError(
+            f"expected a simulator with finite accelerations, found others where the position is "
+            f"{reach.x_low:.4g} to {reach.x_high:.4g}, the velocity up to {reach.speed:.4g} and the input "
+            f"{reach.u_low:.4g} to {reach.u_high:.4g}"
+        )
+    return found
 
 
 def _points(count: int) -> FloatArray:

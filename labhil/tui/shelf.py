@@ -10,7 +10,7 @@ from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
 
-from labhil.documents import parse_json, parse_toml
+from labhil.documents import LARGEST, parse_json, parse_toml, read_document
 from labhil.errors import LabhilError
 from labhil.recording.reader import Recording, read_recording
 
@@ -20,7 +20,7 @@ LARGEST_READ = 256 << 20
 GROWING = 3.0
 """A file without its final name that was written to so many s ago has somebody who writes it."""
 
-LARGEST_RESULT = 64 << 20
+LARGEST_RESULT = LARGEST
 SCHEMAS = {"labhil.fit/1": "fit", "labhil.diagnosis/1": "diagnosis"}
 
 
@@ -171,7 +171,7 @@ def experiments(folder: Path) -> list[ExperimentFile]:
     found = []
     for path, is_packaged in [*own, *packaged]:
         try:
-            data = parse_toml(path.read_text(encoding="utf-8"))
+            data = parse_toml(read_document(path))
         except (OSError, ValueError):
             continue
         section = data.get("experiment")

@@ -16,6 +16,7 @@ import pytest
 
 from labhil.bus import StreamPublisher, open_bus, publish_event
 from labhil.bus.keys import stream_key
+from labhil.bus.publish import publish_command
 from labhil.codec import Codec
 from labhil.errors import RecordingError, RecordingFailedError
 from labhil.recording import read_recording
@@ -102,7 +103,7 @@ def test_samples_wait_until_somebody_says_what_they_are(bus, tmp_path):
     payloads = Codec(STREAM).encode(batch(0, 5))
     with Recorder(bus, tmp_path / "a.mcap") as recorder:
         for payload in payloads:
-            bus.session.put(stream_key("bench", "state"), payload)
+            publish_command(bus, stream_key("bench", "state"), payload)
         with StreamPublisher(bus, "bench", STREAM) as publisher:
             publisher.put(batch(5, 5))
             wait_until(lambda: samples(recorder) == {"bench": 10})
@@ -113,7 +114,7 @@ def test_samples_that_nobody_explains_are_kept_as_bytes(bus, tmp_path):
     payloads = Codec(STREAM).encode(batch(0, 5))
     with Recorder(bus, tmp_path / "a.mcap"):
         for payload in payloads:
-            bus.session.put(stream_key("ghost", "state"), payload)
+            publish_command(bus, stream_key("ghost", "state"), payload)
     recording = read_recording(tmp_path / "a.mcap")
     assert recording.attachments["ghost.state.unexplained"] == b"".join(payloads)
     assert any("nobody said what they are" in event.body.get("text", "") for event in recording.events)
@@ -123,8 +124,8 @@ def test_what_is_no_sample_is_left_out_and_said(bus, tmp_path):
     with Recorder(bus, tmp_path / "a.mcap") as recorder, StreamPublisher(bus, "bench", STREAM) as publisher:
         publisher.put(batch(0, 5))
         wait_until(lambda: samples(recorder) == {"bench": 5})
-        bus.session.put(stream_key("bench", "state"), b"garbage")
-        bus.session.put("lab/bench/event", b"not json")
+        publish_command(bus, stream_key("bench", "state"), b"garbage")
+        publish_command(bus, "lab/bench/event", b"not json")
         publisher.put(batch(5, 5))
         wait_until(lambda: samples(recorder) == {"bench": 10})
     recording = read_recording(tmp_path / "a.mcap")
@@ -136,7 +137,7 @@ def test_what_is_no_sample_is_left_out_and_said(bus, tmp_path):
 
 def test_setpoints_and_questions_are_no_streams(bus, tmp_path):
     with Recorder(bus, tmp_path / "a.mcap"):
-        bus.session.put("lab/bench/setpoint", b"{}")
+        publish_command(bus, "lab/bench/setpoint", b"{}")
         publish_event(bus, "bench", {"text": "limits tripped", "t_ns": 5})
     recording = read_recording(tmp_path / "a.mcap")
     assert recording.streams == ()
@@ -243,3 +244,18 @@ def test_a_killed_recorder_leaves_what_it_flushed(bus, tmp_path):
     assert len(data) > 100
     assert data.lost == 0
     assert np.array_equal(data.values, batch(int(data.seq[0]), len(data)).values)
+
+
+def test_what_strangers_publish_is_left_out_and_said(bus, tmp_path):
+    with Recorder(bus, tmp_path / "a.mcap"), StreamPublisher(bus, "bench", STREAM) as publisher:
+        publisher.put(batch(0, 5))
+        for key in (stream_key("bench", "state"), "lab/nobody/event", "lab/bench/@schema/state"):
+            for _ in range(20):
+                bus.session.put(key, b"false")
+        publisher.put(batch(5, 5))
+    recording = read_recording(tmp_path / "a.mcap")
+    (data,) = recording.streams
+    assert (len(data), data.lost) == (10, 0)
+    said = [str(event.body["message"]) for event in recording.events if event.body.get("kind") == "rejected"]
+    for key in (stream_key("bench", "state"), "lab/nobody/event", "lab/bench/@schema/state"):
+        assert any(f"refused at {key}: not authenticated" in text for text in said), said

@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,13 @@ import pytest
 import zenoh
 
 from labhil.bus import latch, register
+from labhil.bus.ask import ask
 from labhil.bus.authentication import Signer, Verifier, new_key
 from labhil.bus.keys import ALL_STREAMS, command_key, event_key, schema_key, setpoint_key, stream_key
 from labhil.bus.publish import publish_command
 from labhil.bus.session import open_bus
 from labhil.bus.subscribe import subscribe
+from labhil.codec import Codec, stream_from_json
 from labhil.errors import CommandRefusedError
 from labhil.experiment.control import RunControl, RunState
 from labhil.experiment.device_run import DeviceRun
@@ -29,6 +32,7 @@ from labhil.recording.reader import read_recording
 from labhil.service.emergency import press_everywhere
 from labhil.service.messages import Setpoint
 from labhil.service.recorder import Recorder
+from labhil.signals import Batch
 
 PATIENCE = 60.0
 RIG = """
@@ -204,8 +208,67 @@ def test_whatever_comes_in_the_emergency_stop_is_heard(start_run: Callable[[], R
     assert result.exit_status == 1 and "emergency stop by a test" in result.reason
     recording = read_recording(result.path)
     rejected = [event for event in recording.events if event.body.get("kind") == "rejected"]
-    assert {event.device for event in rejected} == {"bench", "run"}
+    assert {event.device for event in rejected} == {"bench", "recorder", "run"}
     assert len(rejected) < 200, "not every one is reported"
+
+
+def test_a_second_operator_moves_nothing(start_run: Callable[[], Running]) -> None:
+    run = start_run()
+    with open_bus(run.entry.endpoint) as bus:  # who has the key, but not the lease
+        with pytest.raises(CommandRefusedError, match="the device is held by"):
+            ask(bus, command_key("bench", "lease"), {"holder": "a second operator"}, patience=10.0)
+        for name, payload in (("set", {}), ("lease", {"action": "return"}), ("lease", {"action": "renew"})):
+            question = {"token": "guessed", "t_ns": time.time_ns(), "values": {"servo_angle": 0.5}, **payload}
+            with pytest.raises(CommandRefusedError, match="this is not its token"):
+                ask(bus, command_key("bench", name), question)
+        for age in (0, 10**9, -(10**9)):
+            setpoint = Setpoint("guessed", time.time_ns() - age, {"servo_angle": 0.5})
+            publish_command(bus, setpoint_key("bench"), setpoint.to_bytes())
+        deadline = time.monotonic() + PATIENCE
+        while (status := ask(bus, command_key("bench", "status")))["refused"].get(setpoint_key("bench")) != 3:
+            assert time.monotonic() < deadline, status
+    assert status["state"] == "active" and abs(status["applied"]["servo_angle"]) < 0.5
+    assert run.control.state is RunState.RUNNING, run.control.reason
+
+
+def test_false_samples_and_events_move_no_run(start_run: Callable[[], Running]) -> None:
+    run = start_run()
+    state, event = stream_key("bench", "state"), event_key("bench")
+    heard: dict[str, tuple[bytes, bytes]] = {}
+    with stranger(run.entry.endpoint) as session:
+
+        def listen(sample: zenoh.Sample) -> None:
+            heard[str(sample.key_expr)] = sample.payload.to_bytes(), sample.attachment.to_bytes()
+
+        listening = session.declare_subscriber("lab/bench/*", listen)
+        deadline = time.monotonic() + PATIENCE
+        while state not in heard:
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        listening.undeclare()
+        sample, code = heard[state]
+        codec = Codec(stream_from_json(asked(session, schema_key("bench", "state"), b"{}")[0]["stream"]))
+        true = codec.decode([sample])
+        (false,) = codec.encode(
+            Batch(true.seq + 10**6, true.t_acq_ns + 10**12, true.t_hw_ns + 10**12, true.values + 10.0)
+        )
+        failed = json.dumps({"t_ns": time.time_ns() + 10**9, "kind": "failed", "message": "false"}).encode()
+        for key, payload in ((state, false), (event, failed)):
+            for attachment in (None, code, code[:-1], Signer([new_key()]).sign(key, payload)):
+                session.put(key, payload, attachment=attachment)
+        for _ in range(5):
+            session.put(state, sample, attachment=code)
+        before = asked(session, command_key("@run", "status"), b"{}")[0]
+        time.sleep(0.5)
+        after = asked(session, command_key("@run", "status"), b"{}")[0]
+    assert run.control.state is RunState.RUNNING, run.control.reason
+    assert after["state"] == "running" and after != before, "the steps go on"
+    run.control.stop("enough")
+    result = run.finish()
+    (recorded,) = [data for data in read_recording(result.path).streams if data.stream.name == "state"]
+    assert abs(recorded["ball_position"]).max() < 1.0 and recorded.lost == 0
+    said = " ".join(str(one.body.get("message")) for one in read_recording(result.path).events)
+    assert f"refused at {state}: " in said and f"refused at {event}: not authenticated" in said
 
 
 @pytest.mark.parametrize("payload", [b"{}", b'{"by": 5, "reason": ["x"]}', b'{"action": "press", "x": 1e9}'])
@@ -272,7 +335,7 @@ def test_the_key_is_this_users_alone_and_gone_with_its_session() -> None:
     assert not list(register.runtime_directory().glob(f"{os.getpid()}-*.key"))
 
 
-def test_numbers_come_once_in_any_order_and_not_from_before() -> None:
+def test_numbers_come_once_in_any_order_and_not_from_before(monkeypatch: pytest.MonkeyPatch) -> None:
     key = new_key()
     verifier, signer = Verifier([key]), Signer([new_key(), key])
     codes = [signer.sign("a", b"x") for _ in range(100)]
@@ -284,6 +347,10 @@ def test_numbers_come_once_in_any_order_and_not_from_before() -> None:
     assert "not made with" in verifier.objection("a", b"y", codes[60])
     assert verifier.objection("a", b"x", codes[60]) == ""
     assert "another time" in Verifier([key]).objection("a", b"x", codes[61])
+    assert Verifier([key], transit=60.0).objection("a", b"x", codes[61]) == ""
+    monkeypatch.setattr(time, "monotonic_ns", partial(int, time.monotonic_ns() + 60 * 10**9))
+    assert "another time" in Verifier([key], transit=100.0).objection("a", b"x", codes[61])
+    assert Verifier([key], oldest=120.0, transit=100.0).objection("a", b"x", codes[61]) == ""
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")

@@ -63,7 +63,7 @@ from labhil.analysis.schema.verification import (
     VerificationPart,
     WorstWindow,
 )
-from labhil.documents import parse_json
+from labhil.documents import LARGEST, DocumentError, parse_json
 from labhil.errors import ModelFileError
 
 __all__ = [
@@ -154,6 +154,8 @@ def checked(kind: type[Result], data: Any, origin: str) -> Result:
 def json_of(text: bytes, origin: str) -> Any:
     """Parsed JSON with None for NaN and infinities; ModelFileError when it is none."""
     try:
+        if len(text) > LARGEST:
+            raise DocumentError(f"expected at most {LARGEST} bytes, found {len(text)}")
         return parse_json(text.decode("utf-8"), constant=lambda name: None)
     except ValueError as error:
         raise ModelFileError(

@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Self, SupportsIndex, overload
+from typing import Annotated, Any, Self, SupportsIndex, overload
 
-from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
 from labhil.errors import UnknownNameError
 from labhil.physics.terms import keyed
 
 Number = float | None
+
+LONGEST_TEXT = 4096
+"""Characters of a text in a result: as many as a path may have."""
+
+MOST_PARAMETERS = 5000
+"""Parameters of a model in a result: more than six joints of an arm have in a hundred recordings."""
 Interval = tuple[Number, Number]
 
 
 class Part(BaseModel):
     """A piece of a result; no number in it is infinite."""
 
-    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False, str_max_length=LONGEST_TEXT)
 
 
 class Source(Part):
@@ -130,7 +136,7 @@ class Parameters(tuple[Parameter, ...]):
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        rows = handler.generate_schema(tuple[Parameter, ...])
+        rows = handler.generate_schema(Annotated[tuple[Parameter, ...], Field(max_length=MOST_PARAMETERS)])
         return core_schema.no_info_after_validator_function(cls, rows)
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from labhil.documents import parse_json
+from labhil.documents import parse_json, read_document
 from labhil.errors import UnknownNameError, UsageError
 
 SCHEMA = "labhil.trials/1"
@@ -63,7 +63,7 @@ def read_index(folder: Path) -> Index:
 def read_object(path: Path, schema: str) -> dict[str, Any]:
     """JSON of a schema; UsageError says what was expected and what was found."""
     try:
-        data = parse_json(path.read_text(encoding="utf-8"))
+        data = parse_json(read_document(path))
     except (OSError, ValueError) as error:
         raise UsageError(f"{path}: expected JSON of schema {schema}: {error}") from error
     found = data.get("schema") if isinstance(data, dict) else None

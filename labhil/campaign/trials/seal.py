@@ -8,7 +8,7 @@ import secrets
 from pathlib import Path
 from typing import Any
 
-from labhil.documents import parse_json
+from labhil.documents import parse_json, read_document
 from labhil.errors import UsageError
 
 NONCE_BYTES = 32
@@ -31,7 +31,7 @@ def write_envelope(answer: Any, path: Path, nonce: bytes | None = None) -> str:
 def open_envelope(path: Path, expected: str) -> Any:
     """The answer in an envelope; UsageError where there is none or its seal is not the expected one."""
     try:
-        data = parse_json(path.read_text(encoding="utf-8"))
+        data = parse_json(read_document(path))
         nonce, answer = bytes.fromhex(data["nonce"]), data["answer"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UsageError(f"{path}: expected a sealed answer (JSON with nonce and answer): {error}") from error

@@ -15,6 +15,10 @@ Seed = int | tuple[int, ...]
 """What numpy's generators are begun with: one number, or several that stand for one."""
 
 
+MOST_SAMPLES = 20_000_000
+"""Values of one step, which are all looked at before a run: half an hour at 10 kHz; they take 20 s."""
+
+
 class Excitation(Protocol):
     """A function of time: s since the step began, to the unit of the signal that it drives."""
 
@@ -44,7 +48,15 @@ def sample(excitation: Excitation | Excitations, t: Sequence[float] | FloatArray
 
 
 def sampled(excitation: Excitation | Excitations, duration: float, rate: float) -> FloatArray:
-    """Return the values at ``rate`` Hz over ``duration`` s, the first at t = 0."""
+    """Return the values at ``rate`` Hz over ``duration`` s, the first at t = 0.
+
+    ValueError where these are more than ``MOST_SAMPLES``.
+    """
+    if not duration * rate <= MOST_SAMPLES:
+        raise ValueError(
+            f"expected at most {MOST_SAMPLES / rate:.6g} s at {rate:g} Hz, found {duration:g} s; "
+            "make several steps of it"
+        )
     return sample(excitation, np.arange(max(round(duration * rate), 1)) / rate)
 
 

@@ -10,6 +10,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Literal
 
+from labhil.bounds import read_file
 from labhil.experiment.excitation.function import Excitation, Excitations
 
 Between = Literal["linear", "hold"]
@@ -48,7 +49,7 @@ def file(path: str, between: Between = "linear", directory: Path = Path()) -> Ex
         raise ValueError(f"`between` must be 'linear' or 'hold', found {between!r}")
     where = directory / path
     try:
-        text = where.read_text(encoding="utf-8-sig")
+        text = read_file(where).decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise ValueError(f"`path`: {where} cannot be read as a table t,value: {error}") from error
     rows = _rows(text, where)

@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from labhil.complaints import explain
-from labhil.documents import DocumentError, parse_toml
+from labhil.documents import DocumentError, parse_toml, read_document
 from labhil.errors import RigFileError
 from labhil.kinds import JOINTS
 from labhil.signals import FloatArray
@@ -119,8 +119,8 @@ def inertial_of(
 def load_links(path: Path) -> Links:
     """Read a table of links; RigFileError names the file, the joint's field and what was expected."""
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_document(path)
+    except (OSError, DocumentError) as error:
         raise RigFileError(f"{path}: cannot be read as a table of links (TOML): {error}") from error
     return links_of(text, str(path))
 

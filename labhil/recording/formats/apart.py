@@ -29,11 +29,11 @@ from labhil.rig_sections import Table
 START_SECONDS = 60.0
 """How long the process may take until it is ready: it imports numpy, on a machine that may be busy."""
 
-CPU_SECONDS = 10.0
+CPU_SECONDS = 4.0
 CPU_SECONDS_PER_BYTE = 20e-6
 """Processor time for a file: a start, and 20 s a megabyte. The slowest reader (XLSX) takes 2 s a megabyte."""
 
-WALL_FACTOR = 5.0
+WALL_FACTOR = 4.0
 """Wall time for a second of processor time, on a machine that does other things beside."""
 
 MEMORY = 512 << 20

@@ -81,14 +81,20 @@ def _bound(cpu_seconds: float, memory: int) -> None:
     except ImportError:  # not a POSIX system
         return
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    hard = resource.getrlimit(resource.RLIMIT_CPU)[1]
-    resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(time.process_time() + cpu_seconds), hard))
+    _soften(resource.RLIMIT_CPU, math.ceil(time.process_time() + cpu_seconds))
     try:
         pages = int(Path("/proc/self/statm").read_text().split()[0])
     except (OSError, ValueError):
         return
-    hard = resource.getrlimit(resource.RLIMIT_AS)[1]
-    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + memory, hard))
+    _soften(resource.RLIMIT_AS, pages * resource.getpagesize() + memory)
+
+
+def _soften(what: int, limit: int) -> None:
+    """Set a limit of this process, below the one that somebody else has set for good (`ulimit -v`)."""
+    import resource
+
+    hard = resource.getrlimit(what)[1]
+    resource.setrlimit(what, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
 
 
 def _write(answers: BinaryIO, data: bytes) -> None:

@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import compress
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from labhil.recording.formats.notation import Notation, is_missing
 from labhil.recording.formats.time_text import Stamps, is_time
 from labhil.recording.units import is_units_line
 from labhil.rig_sections import Table
-from labhil.signals import FloatArray, Hold
+from labhil.signals import FloatArray, Hold, IntArray
 
 DELIMITERS: Mapping[str, str | None] = {"comma": ",", "semicolon": ";", "tab": "\t", "whitespace": None}
 SAMPLE_LINES = 50
@@ -88,14 +89,15 @@ def _decoded(path: Path, data: bytes) -> str:
 
 
 def _read_text(path: Path, text: str, table: Table, wanted: Collection[str]) -> TextColumns:
-    numbered = _lines(text, table)
-    if not numbered:
+    lines, texts = _lines(text, table)
+    if not texts:
         raise TableError(f"{path}: expected a table, found no rows (after skip_rows = {table.skip_rows})")
-    texts = [line for _, line in numbered]
     delimiter = DELIMITERS[table.delimiter or _delimiter(path, texts, table)]
     _refuse_marks(path, texts, delimiter, table)
-    rows = [_split(line, delimiter) for line in texts]
-    lines = np.array([number for number, _ in numbered], dtype=np.int64)
+    try:
+        rows = [_split(line, delimiter) for line in texts]
+    except csv.Error as error:
+        raise TableError(f"{path}: expected a table, found a field that is none: {error}") from error
     names, units = None, tuple[str, ...]()
     if _has_header(rows[0], table, wanted):
         names = tuple(field.strip().strip("\"'") for field in rows[0])
@@ -122,13 +124,13 @@ def _refuse_marks(path: Path, lines: Sequence[str], delimiter: str | None, table
             )
 
 
-def _lines(text: str, table: Table) -> list[tuple[int, str]]:
-    """Lines with their numbers from 1, without skipped, blank and comment lines."""
-    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    numbered = list(enumerate(lines, start=1))[table.skip_rows :]
+def _lines(text: str, table: Table) -> tuple[IntArray, list[str]]:
+    """Numbers of lines from 1, (n,), and the lines, without skipped, blank and comment lines."""
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")[table.skip_rows :]
     if table.comment:
-        numbered = [(number, line.split(table.comment, 1)[0]) for number, line in numbered]
-    return [(number, line) for number, line in numbered if line and not line.isspace()]
+        lines = [line.split(table.comment, 1)[0] for line in lines]
+    full = np.fromiter((bool(line) and not line.isspace() for line in lines), np.bool_, len(lines))
+    return np.flatnonzero(full).astype(np.int64) + 1 + table.skip_rows, list(compress(lines, full))
 
 
 def _delimiter(path: Path, lines: Sequence[str], table: Table) -> str:
@@ -165,10 +167,11 @@ def _agreement(lines: Sequence[str], delimiter: str | None) -> float:
     return frequency / len(lines) if fields > 1 else 0.0
 
 
-def _split(line: str, delimiter: str | None) -> list[str]:
+def _split(line: str, delimiter: str | None) -> tuple[str, ...]:
+    """The fields of a line; a list that ``split`` makes has room for twelve, whatever is in it."""
     if delimiter is not None and '"' in line:
-        return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
-    return line.split(delimiter)
+        return tuple(next(csv.reader([line], delimiter=delimiter, skipinitialspace=True)))
+    return tuple(line.split(delimiter))
 
 
 def _has_header(fields: Sequence[str], table: Table, wanted: Collection[str]) -> bool:

@@ -26,6 +26,9 @@ SETTINGS: dict[Any, Any] = {
 MOST_DOTS = 500
 """A scatter of more dots than that is embedded as pixels: each dot would be an element."""
 
+LONGEST_LABEL = 72
+"""Characters at an axis; a longer text leaves no room for the picture beside it."""
+
 LONG_DECIMAL = re.compile(r"(\.\d\d)\d+")
 
 NO_METADATA = dict.fromkeys(("Creator", "Date", "Format", "Type"))
@@ -76,4 +79,5 @@ def _prefixed(svg: str, prefix: str) -> str:
 
 def label(text: str, unit: str = "") -> str:
     """What stands at an axis: name and unit."""
-    return clean(f"{text}, {unit}" if unit else text)
+    whole = clean(f"{text}, {unit}" if unit else text)
+    return whole if len(whole) <= LONGEST_LABEL else f"{whole[:LONGEST_LABEL]}…"

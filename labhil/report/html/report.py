@@ -14,6 +14,7 @@ from labhil.analysis.schema import (
     checked,
     json_of,
 )
+from labhil.bounds import read_file
 from labhil.errors import ModelFileError, RecordingError, UsageError
 from labhil.recording.chunks import is_mcap
 from labhil.recording.reader import read_recording
@@ -53,7 +54,7 @@ def report_page(path: Path, run: int | None = None) -> Page:
 
 def _bytes_of(path: Path) -> bytes:
     try:
-        return path.read_bytes()
+        return read_file(path)
     except OSError as error:
         raise ModelFileError(
             f"{path}: expected a recording (MCAP) or the JSON of a result, cannot be read: {error.strerror}"
