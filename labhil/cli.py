@@ -7,9 +7,12 @@ laptop that fits loads no bus. Results go to stdout, everything else to stderr.
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
+from functools import cache
 from typing import Annotated
 
 import typer
+from typer.main import get_command
 
 from labhil.commands.acquisition import add_acquisition
 from labhil.commands.analysis import add_analysis
@@ -46,7 +49,7 @@ def main() -> None:
     """Run the command line; ends the process with 0 (done), 1 (the run came to grief) or 2 (wrong use)."""
     with forgiving_streams():
         try:
-            app()
+            _command()()
         except LabhilError as error:
             complain(error.on_command_line if isinstance(error, OptionError) else error)
             sys.exit(error.exit_status)
@@ -56,6 +59,12 @@ def main() -> None:
                 raise
             complain(missing)
             sys.exit(missing.exit_status)
+
+
+@cache
+def _command() -> Callable[[], object]:
+    """Build the tree of all commands, once for a process that runs several of them."""
+    return get_command(app)
 
 
 def _print_version(wanted: bool) -> None:

@@ -84,6 +84,6 @@ def _children(me: psutil.Process) -> Iterator[str]:
 
 
 def _listening(me: psutil.Process) -> Iterator[str]:
-    for connection in me.net_connections(kind="inet"):
+    for connection in me.net_connections(kind="tcp"):
         if connection.status == psutil.CONN_LISTEN:
             yield f"port {connection.laddr.port}"

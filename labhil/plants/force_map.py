@@ -8,13 +8,16 @@ them, in one array of fixed length, so that a kernel is compiled once for all ta
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import RBFInterpolator, RectBivariateSpline
 
 from labhil.compiled import compiled
 from labhil.errors import UsageError
 from labhil.signals import FloatArray
+
+if TYPE_CHECKING:
+    from scipy.interpolate import RectBivariateSpline
 
 COLUMNS = ("coil_current", "plunger_position", "magnetic_force")
 
@@ -89,6 +92,8 @@ def _on_a_grid(
 
 def _plate(i: FloatArray, x: FloatArray, force: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """A thin plate through scattered points, at the nodes of a grid."""
+    from scipy.interpolate import RBFInterpolator
+
     size = np.array([np.ptp(i), np.ptp(x)])
     points, same = np.unique(np.column_stack([i, x]), axis=0, return_inverse=True)
     values = np.bincount(same.ravel(), force) / np.bincount(same.ravel())
@@ -115,6 +120,8 @@ def _packed(current: FloatArray, position: FloatArray, table: FloatArray) -> Flo
 
 
 def _spline(current: FloatArray, position: FloatArray, table: FloatArray) -> RectBivariateSpline:
+    from scipy.interpolate import RectBivariateSpline
+
     along, across = (min(3, n - 1) for n in table.shape)
     return RectBivariateSpline(current, position, table, kx=along, ky=across, s=0)
 

@@ -69,6 +69,8 @@ def offset(seconds: float, seed: int) -> Record:
     )
 
 
+@pytest.mark.extended
+@pytest.mark.timeout(300)
 def test_an_offset_that_the_whole_motion_needs_is_named_and_no_curve_takes_its_place():
     record = offset(50.0, 1)
     model = BallBeamModel(parse_rig('[rig]\nkind = "ball_beam"\n', Path("rig.toml")), record)

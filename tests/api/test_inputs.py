@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import labhil as lh
 from labhil.errors import LabhilError, RecordingError, RigFileError, UnknownNameError, UsageError
@@ -15,10 +16,14 @@ IDENTIFY = ROOT / "recordings" / "ball_beam_identify.mcap"
 
 T = np.arange(0.0, 10.0, 0.01)
 U = 6.0 * np.sign(np.sin(2.0 * T))
+# a motor of 0.2 s, and noise: of what no motor does every fit goes on to its last iteration
+DECAY = float(np.exp(-0.01 / 0.2))
+NOISE = np.random.default_rng(1).normal(0.0, 0.1, len(T))
+SPEED = lfilter([0.0, 1.0 - DECAY], [1.0, -DECAY], 10.0 * U) + NOISE
 
 
 def motor(**changes):
-    given = {"t": T, "inputs": {"voltage": U}, "outputs": {"speed": np.cumsum(U) * 0.01}, "rig": "dc_motor"}
+    given = {"t": T, "inputs": {"voltage": U}, "outputs": {"speed": SPEED}, "rig": "dc_motor"}
     return lh.recording(**(given | changes))
 
 
@@ -56,7 +61,7 @@ def test_arrays_that_are_no_recording_are_refused_with_the_reason(changes, said)
 
 def test_arrays_become_a_recording_that_is_saved_and_read_again(tmp_path):
     rec = motor(t=T + 100.0, others={"winding_temperature": 20.0 + 0.0 * T})
-    assert rec["speed"] == pytest.approx(np.cumsum(U) * 0.01)
+    assert rec["speed"] == pytest.approx(SPEED)
     assert rec.t == pytest.approx(T)
     assert list(rec.signals) == ["voltage", "speed", "winding_temperature"]
     with pytest.raises(ValueError, match="read-only"):

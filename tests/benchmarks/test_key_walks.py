@@ -13,6 +13,7 @@ from labhil_benchmarks.key_walks import fill, walk
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.extended
 @pytest.mark.timeout(180)
 def test_no_random_walk_over_the_keys_ends_the_screen(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 from labhil.physics.model import Record
+from labhil.recording import import_table, write_import
+from labhil.rig import parse_rig
 from labhil_benchmarks.statistics.cases import driven, levels
 
 TERMS = ("viscous_friction", "coulomb_friction", "constant_force")
@@ -64,6 +66,17 @@ def accepted(tmp_path) -> Callable[..., str]:
         return "model.json"
 
     return made
+
+
+@pytest.fixture(scope="module")
+def of_the_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording that any model of an axis may be held against; nobody changes it."""
+    folder = tmp_path_factory.mktemp("recorded")
+    found = carriage(7)
+    rows = np.column_stack([found.t, found.inputs, found.outputs])
+    np.savetxt(folder / "bench.csv", rows, "%.12g", ",", header="t,drive_force,position", comments="")
+    rig = parse_rig(RIG, folder / "rig.toml")
+    return write_import(import_table(folder / "bench.csv", rig), folder / "g.mcap")
 
 
 def answer(tmp_path: Path) -> dict[str, Any]:
@@ -153,16 +166,15 @@ BAD = {
 
 
 @pytest.mark.parametrize("what", BAD)
-def test_a_file_that_is_no_model_of_this_rig_is_refused(labhil, record, accepted, what):
+def test_a_file_that_is_no_model_of_this_rig_is_refused(labhil, of_the_model, accepted, what):
     other, expected = BAD[what]
-    name = record("g.mcap", carriage(7))
-    said = labhil("verify", name, "--model", accepted(**other)).refused()
+    said = labhil("verify", of_the_model, "--model", accepted(**other)).refused()
     assert expected in said
     assert what == "term" or "model.json" in said
 
 
-def test_what_is_not_there_is_refused(labhil, record, accepted):
-    name = record("h.mcap", carriage(8))
+def test_what_is_not_there_is_refused(labhil, of_the_model, accepted):
+    name = of_the_model
     assert "none.json" in labhil("verify", name, "--model", "none.json").refused()
     assert "none.mcap" in labhil("verify", "none.mcap", "--model", accepted()).refused()
     assert "--alpha" in labhil("verify", name, "--model", accepted(), "--alpha", "2").refused()

@@ -37,7 +37,8 @@ class Bench:
         self.token = ""
 
     def ask(self, name: str, **payload: Any) -> dict[str, Any]:
-        return ask(self.bus, command_key(DEVICE, name), payload)
+        # who is known to be there is found by the bus in time, and a busy machine takes seconds for it
+        return ask(self.bus, command_key(DEVICE, name), payload, patience=PATIENCE)
 
     def take_lease(self, holder: str = "test") -> str:
         self.token = str(self.ask("lease", action="take", holder=holder)["token"])

@@ -131,13 +131,14 @@ def test_notes_may_change_within_a_campaign_and_steps_may_not(tmp_path: Path) ->
 
 
 @pytest.mark.timeout(240)
-def test_a_campaign_killed_at_any_moment_goes_on_without_loss(tmp_path: Path) -> None:
+@pytest.mark.parametrize("kills", [1, pytest.param(2, marks=pytest.mark.extended)])
+def test_a_campaign_killed_at_any_moment_goes_on_without_loss(tmp_path: Path, kills: int) -> None:
     experiment = in_folder(tmp_path)
     out = tmp_path / "out"
     path = campaign_path(experiment, out)
     command = [sys.executable, "-P", "-m", "labhil", "run", str(tmp_path / "levels.toml"), "--out", str(out)]
     moments, finished = random.Random(7), {}
-    for _ in range(2):
+    for _ in range(kills):
         with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(moments.uniform(5.0, 9.0))

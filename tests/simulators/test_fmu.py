@@ -52,7 +52,10 @@ def test_an_fmu_tells_what_it_is(tmp_path: Path, version: int, kinds: str) -> No
     assert lh.model(path).kind == "rod"
 
 
-@pytest.mark.parametrize(("version", "kinds"), EVERY)
+@pytest.mark.parametrize(
+    ("version", "kinds"),
+    [pytest.param(*each, marks=pytest.mark.extended if each == (2, "cs") else ()) for each in EVERY],
+)
 def test_what_is_fitted_is_what_the_fmu_does(tmp_path: Path, version: int, kinds: str) -> None:
     """The kernel beside the FMU's own steps, and a formula that knows neither."""
     rod = lh.fmu_simulator(built(tmp_path, version=version, kinds=kinds))
