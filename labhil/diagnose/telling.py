@@ -141,7 +141,7 @@ def too_little(found: Found) -> tuple[Undecided, ...]:
 def as_likely_as_not(found: Found) -> tuple[Undecided, ...]:
     """Terms that are neither named nor a rival's, and that the searched data leave open."""
     told = {*found.final.terms, *(rival.term for rival in found.rivals)}
-    reason = "these data speak neither for it nor against it"
+    reason = "these data speak neither for nor against"
     return tuple(Undecided(*unkeyed(each.term), (), reason) for each in found.open if each.term not in told)
 
 
