@@ -263,7 +263,7 @@ def test_a_check_after_the_steps_ends_with_the_emergency_stop_too(
         target=lambda: results.append(run_experiment(experiment, tmp_path, control=control))
     )
     thread.start()
-    assert control.wait_for(RunState.STOPPING, timeout=PATIENCE)
+    assert control.wait_for(RunState.STOPPING, timeout=PATIENCE), [result.reason for result in results]
     press_everywhere("a test", "while it checks")
     thread.join(PATIENCE)
     assert isinstance(results[0].error, EmergencyStopError), results[0].reason
