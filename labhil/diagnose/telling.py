@@ -135,7 +135,8 @@ def too_little(found: Found) -> tuple[Undecided, ...]:
     """Terms that were seen, but that an imperfect law of a larger one could stand for."""
     share = f"{100.0 * LEAST_SHARE:.0f} %"
     reason = f"less than {share} of the mismatch, which an imperfect law of a larger effect may leave, too"
-    return tuple(Undecided(*unkeyed(minor.term), (), reason) for minor in found.minor)
+    terms = sorted(unkeyed(minor.term) for minor in found.minor)
+    return tuple(Undecided(*term, (), reason) for term in terms)
 
 
 def as_likely_as_not(found: Found) -> tuple[Undecided, ...]:
