@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,8 +16,21 @@ LEAST_SHARE = 0.01
 """Of the mismatch's mean square: laws of friction or inertia that are wrong by a tenth leave as much."""
 
 
+@dataclass(frozen=True, slots=True)
+class Explained:
+    """What a term explains: its ``share`` of what all do, and the mean square of that in noise levels."""
+
+    share: float
+    mean_square: float
+
+    @property
+    def counts(self) -> bool:
+        """Whether an imperfect law of a larger effect is no excuse for it: not in the noise it shows in."""
+        return self.share >= LEAST_SHARE or self.mean_square >= 1.0
+
+
 def without_minor(data: Data, found: Found) -> Found:
-    """What was found but for terms that explain too little of the mismatch, the least one first.
+    """What was found but for terms that explain less than the noise and too little, the least one first.
 
     Args:
         data: what was searched.
@@ -29,21 +42,18 @@ def without_minor(data: Data, found: Found) -> Found:
     data = replace(data, model=fit.problem.model, window=fit.window, sigma=fit.problem.sigma, held=fit.held)
     minor: list[Minor] = []
     while len(found.missing) > 1:
-        shares = _shares(found)
-        least = min(shares, key=lambda term: shares[term])
-        if shares[least] >= LEAST_SHARE:
+        small = {term: part.share for term, part in _explained(found).items() if not part.counts}
+        if not small:
             break
-        minor.append(Minor(least, shares[least]))
+        least = min(small, key=lambda term: small[term])
+        minor.append(Minor(least, small[least]))
         final = refit(data, found.final, without(data.model, found.final.terms, least), ())
         found = found.ending(final, tuple(step for step in found.missing if step.terms[0] in final.terms))
     return replace(found, minor=(*found.minor, *minor))
 
 
-def _shares(found: Found) -> dict[str, float]:
-    """What each term explains over what all do, of the mean squares of the outputs that it acts on.
-
-    Without a term the others take its part as far as their slopes allow.
-    """
+def _explained(found: Found) -> dict[str, Explained]:
+    """What each term explains of the outputs that it acts on: the others take its part as slopes allow."""
     final, problem = found.final, found.final.problem
     lin = problem.linearise(final.solution.point, final.solution.residuals)
     terms = [problem.model.parameters[i].term for i in problem.free]
@@ -53,16 +63,19 @@ def _shares(found: Found) -> dict[str, float]:
     pulls = np.einsum("cnp,cn->cp", slopes, residuals)
     products = slopes.transpose(0, 2, 1) @ slopes
     acts = np.any(lin.by_parameters.reshape(-1, outputs, len(terms)) != 0.0, axis=0)
-    explained = (found.baseline.mean_squares - final.mean_squares) * final.dof / outputs
-    shares = dict[str, float]()
+    rows = final.dof / outputs
+    by_all = (found.baseline.mean_squares - final.mean_squares) * rows
+    explained = dict[str, Explained]()
     for key in (step.terms[0] for step in found.missing):
         gone = without(problem.model, final.terms, key)
         own = np.array([term is not None and term not in gone for term in terms])
         step = _taken_away(final, own, products.sum(axis=0))
         more = np.einsum("p,cpq,q->c", step, products, step) - 2.0 * pulls @ step
         on = acts[:, own].any(axis=1)
-        shares[key] = float(more[on].sum() / max(explained[on].sum(), 1e-300)) if on.any() else 0.0
-    return shares
+        own_part = float(more[on].sum())
+        share = own_part / max(float(by_all[on].sum()), 1e-300)
+        explained[key] = Explained(share, own_part / max(rows * int(on.sum()), 1.0))
+    return explained
 
 
 def _taken_away(fitted: Fitted, own: BoolArray, products: FloatArray) -> FloatArray:

@@ -134,7 +134,9 @@ def rival_term(model: Model, rival: Rival, found: Found, excess: float, claims: 
 def too_little(found: Found) -> tuple[Undecided, ...]:
     """Terms that were seen, but that an imperfect law of a larger one could stand for."""
     share = f"{100.0 * LEAST_SHARE:.0f} %"
-    reason = f"less than {share} of the mismatch, which an imperfect law of a larger effect may leave, too"
+    reason = (
+        f"below the noise and {share} of the mismatch, as what an imperfect law of a larger effect leaves"
+    )
     terms = sorted(unkeyed(minor.term) for minor in found.minor)
     return tuple(Undecided(*term, (), reason) for term in terms)
 
