@@ -377,13 +377,14 @@ def test_a_thread_that_dies_ends_the_run(
         monkeypatch.setattr(Recorder, "_tick", dies)
     else:
         monkeypatch.setattr(DeviceRun, "_own", dies)
-    with stranger(run.entry.endpoint) as session:
-        session.put(event_key("bench"), b'{"t_ns": 9000000000000000000, "kind": "x"}')
+    with open_bus(run.entry.endpoint) as bus:  # which has the key: what is not signed comes to no thread
+        key, event = event_key("bench"), b'{"t_ns": 9000000000000000000, "kind": "x"}'
+        bus.session.put(key, event, attachment=bus.sign(key, event))
         while run.control.state is RunState.RUNNING and time.monotonic() < began + 10.0:
             time.sleep(0.01)
     assert (
         time.monotonic() - began < 2.5
-    )  # of which the stranger takes half a second, and a test machine its share
+    )  # of which joining takes half a second, and a test machine its share
     result = run.finish()
     assert result.exit_status == 1
     assert "died" in result.reason or "SystemExit" in result.reason
