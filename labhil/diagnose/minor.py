@@ -72,6 +72,8 @@ def _explained(found: Found) -> dict[str, Explained]:
         step = _taken_away(final, own, products.sum(axis=0))
         more = np.einsum("p,cpq,q->c", step, products, step) - 2.0 * pulls @ step
         on = acts[:, own].any(axis=1)
+        if not on.any():  # a hold changes nothing until it lets go: its slope does not say what it explains
+            continue
         own_part = float(more[on].sum())
         share = own_part / max(float(by_all[on].sum()), 1e-300)
         explained[key] = Explained(share, own_part / max(rows * int(on.sum()), 1.0))

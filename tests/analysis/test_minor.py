@@ -25,7 +25,10 @@ def test_what_remains_in_outputs_that_a_term_does_not_change_is_not_held_against
     acts = np.array([True, False])
     assert relevance(without, remains, acts) == pytest.approx(3.0 / (2.0 - 1.1**2))
     assert relevance(without, remains, np.array([True, True])) < 0.05
-    assert relevance(without, remains, np.array([False, False])) == 0.0
+    # where no slope says which, all of them
+    assert relevance(without, remains, np.array([False, False])) == relevance(
+        without, remains, np.array([True, True])
+    )
 
 
 def test_what_responses_leave_of_each_output_is_what_least_squares_leave() -> None:

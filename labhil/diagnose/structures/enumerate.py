@@ -100,10 +100,9 @@ def relevance(without: FloatArray, remains: FloatArray, acts: BoolArray) -> floa
         remains: the same with it.
         acts: (c,) marks the outputs that the term changes.
     """
-    if not acts.any():
-        return 0.0
-    beyond_noise = float(np.mean(remains[acts])) - KNOWN_NOISE**2
-    explained = float(np.mean((without - remains)[acts]))
+    on = acts if acts.any() else np.ones_like(acts)  # a hold changes nothing until it lets go: no slope tells
+    beyond_noise = float(np.mean(remains[on])) - KNOWN_NOISE**2
+    explained = float(np.mean((without - remains)[on]))
     return explained / beyond_noise if beyond_noise > 0.0 else inf
 
 
