@@ -48,14 +48,6 @@ class Minor:
 
 
 @dataclass(frozen=True, slots=True)
-class Open:
-    """A term that the searched data speak neither for nor against, and its ``probability``."""
-
-    term: str
-    probability: float
-
-
-@dataclass(frozen=True, slots=True)
 class FittedCurve:
     """A curve as it was refitted ``beside`` some terms, and its log odds over the likeliest named ones."""
 
@@ -85,7 +77,7 @@ class Found:
     complete: bool = True
     curve: FittedCurve | None = None
     minor: tuple[Minor, ...] = ()
-    open: tuple[Open, ...] = ()
+    open: tuple[str, ...] = ()
 
     @property
     def nothing(self) -> Found:

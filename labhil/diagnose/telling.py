@@ -145,7 +145,7 @@ def as_likely_as_not(found: Found) -> tuple[Undecided, ...]:
     """Terms that are neither named nor a rival's, and that the searched data leave open."""
     told = {*found.final.terms, *(rival.term for rival in found.rivals)}
     reason = "these data speak neither for nor against"
-    return tuple(Undecided(*unkeyed(each.term), (), reason) for each in found.open if each.term not in told)
+    return tuple(Undecided(*unkeyed(term), (), reason) for term in found.open if term not in told)
 
 
 def undecided(model: Model) -> tuple[Undecided, ...]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import expit
 
-from labhil.diagnose.found import Open, Rival
+from labhil.diagnose.found import Rival
 from labhil.diagnose.structures.enumerate import (
     Choice,
     Enumeration,
@@ -136,7 +136,7 @@ def log_odds(model: Model, state: SearchState, term: str) -> float:
     return own.log_evidence - without
 
 
-def as_likely_as_not(state: SearchState) -> tuple[Open, ...]:
+def as_likely_as_not(state: SearchState) -> tuple[str, ...]:
     """Terms of which the refitted structures with and without them are within odds of nine to one."""
     logs = {structure: each.log_evidence for structure, each in state.refitted.items()}
     found = []
@@ -147,7 +147,7 @@ def as_likely_as_not(state: SearchState) -> tuple[Open, ...]:
         )
         probability = float(expit(having - lacking))
         if UNDECIDED <= probability <= 1.0 - UNDECIDED:
-            found.append(Open(term, probability))
+            found.append(term)
     return tuple(found)
 
 
