@@ -29,10 +29,8 @@ from labhil.bus.keys import ARRIVED, command_key, event_key, schema_key, setpoin
 from labhil.bus.register import running
 from labhil.bus.session import open_bus
 from labhil.errors import BusError, LabhilError
-from labhil.experiment.experiment import TwinSection
-from labhil.experiment.twins import start_twin
 from labhil.recording.reader import read_recording
-from measure_safety import EXPERIMENT, Relay
+from measure_safety import EXPERIMENT, Relay, twin_behind_a_relay
 from measured import tell
 
 ATTACKS = {"malformed": 200.0, "forged": 200.0, "replayed": 200.0, "flood": 5000.0}
@@ -180,14 +178,7 @@ def main() -> None:
     parser.add_argument("-o", "--out", type=Path)
     options = parser.parse_args()
     result: dict[str, Any] = {"schema": "labhil.intruders/1", "keys": {}}
-    with ExitStack() as stack:
-        directory = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        os.environ["XDG_RUNTIME_DIR"] = str(directory)  # nobody else's emergency stop is pressed
-        section = TwinSection(wire="tcp", seed=1)
-        twin, address = start_twin("bench", "ball_beam", section, directory / "twin.json", lambda: False)
-        stack.enter_context(twin)
-        relay = Relay(address)
-        stack.callback(relay.close)
+    with twin_behind_a_relay() as relay:
         for how, key in KEYS:
             if options.only and not any(part in f"{how} {key}" for part in options.only.split(",")):
                 continue

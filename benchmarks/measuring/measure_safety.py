@@ -24,8 +24,8 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -292,14 +292,9 @@ def described(times: list[float], by: str) -> dict[str, Any]:
     }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--repeat", type=int, default=20)
-    parser.add_argument("--repeat-runs", type=int, help="of the cases that need a whole run each")
-    parser.add_argument("--only", help="parts of cases' names: a,b,…")
-    parser.add_argument("-o", "--out", type=Path)
-    options = parser.parse_args()
-    result: dict[str, Any] = {"schema": "labhil.safety/1", "cases": {}}
+@contextmanager
+def twin_behind_a_relay() -> Iterator[Relay]:
+    """Start a twin of the ball and beam, and what sees the last command that reaches it."""
     with ExitStack() as stack:
         directory = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         os.environ["XDG_RUNTIME_DIR"] = str(directory)  # nobody else's emergency stop is pressed
@@ -308,6 +303,18 @@ def main() -> None:
         stack.enter_context(twin)
         relay = Relay(address)
         stack.callback(relay.close)
+        yield relay
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--repeat", type=int, default=20)
+    parser.add_argument("--repeat-runs", type=int, help="of the cases that need a whole run each")
+    parser.add_argument("--only", help="parts of cases' names: a,b,…")
+    parser.add_argument("-o", "--out", type=Path)
+    options = parser.parse_args()
+    result: dict[str, Any] = {"schema": "labhil.safety/1", "cases": {}}
+    with twin_behind_a_relay() as relay:
         for name, (way, fault, by) in CASES.items():
             if options.only and not any(part in name for part in options.only.split(",")):
                 continue
