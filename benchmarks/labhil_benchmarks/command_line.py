@@ -109,6 +109,12 @@ def trial_benchmark(
     ] = None,
     first: Annotated[int, typer.Option(help=FIRST)] = 1,
     method: Annotated[str, typer.Option(help=METHOD)] = "diagnose",
+    effects: Annotated[str, typer.Option(help="Sort of trials with effects: some, 1, hidden, bristles …")] = (
+        "some"
+    ),
+    disturbed: Annotated[
+        str | None, typer.Option(help="force: a random force at the drive beside all; drift: of its gain.")
+    ] = None,
     jobs: Annotated[int | None, typer.Option(help="Processes (default: one a core).")] = None,
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
     plot_path: Annotated[Path | None, typer.Option("--plot", help="Draw the result here (PNG).")] = None,
@@ -118,7 +124,7 @@ def trial_benchmark(
 
     refuse_unwritable(json_path, plot_path)
     with status() as say:
-        plan = Plan(rig, trials, out, seed, method, jobs or cores(), first)
+        plan = Plan(rig, trials, out, seed, method, jobs or cores(), first, effects, disturbed)
         card = run_trial_benchmark(plan, say)
     deliver_card(card, json_path, plot_path)
 

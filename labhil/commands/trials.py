@@ -55,6 +55,9 @@ def trial_make(
     seconds: Annotated[
         float | None, typer.Option(help="How long each recording is (default: 2 to 30, by the rig).")
     ] = None,
+    disturbed: Annotated[
+        str | None, typer.Option(help="force: a random force at the drive beside all; drift: of its gain.")
+    ] = None,
     jobs: Annotated[int | None, typer.Option(help="Processes (default: one a core).")] = None,
 ) -> None:
     """Draw rigs with concealed physics and record them; the answers are sealed in a folder elsewhere.
@@ -65,7 +68,15 @@ def trial_make(
     from labhil.campaign.trials.make import Order, answers_beside, make_trials
 
     order = Order(
-        rig, trials, effects, out, answers or answers_beside(out), seed, first=first, seconds=seconds
+        rig,
+        trials,
+        effects,
+        out,
+        answers or answers_beside(out),
+        seed,
+        first=first,
+        seconds=seconds,
+        disturbed=disturbed,
     )
     with status() as say:
         index = make_trials(order, jobs or cores(), say)

@@ -14,9 +14,6 @@ from labhil.campaign.trials.make import Order, answers_beside, make_trials
 from labhil.campaign.trials.run import run_trials
 from labhil.campaign.trials.score import judge_trials
 
-SETS = {"nulls": "0", "effects": "some"}
-"""Folders of a benchmark with the sort of trials in each."""
-
 Progress = Callable[[str], None]
 
 
@@ -25,6 +22,7 @@ class Plan:
     """A benchmark of one rig: so many nulls and so many trials with effects, in folders below ``out``.
 
     ``seed`` None draws from the system's randomness, and the ``first`` has that number; ``method`` answers.
+    ``effects`` is the sort of those that are no nulls, ``disturbed`` what disturbs all.
     """
 
     kind: str
@@ -34,6 +32,13 @@ class Plan:
     method: str = DIAGNOSE
     jobs: int = 1
     first: int = 1
+    effects: str = "some"
+    disturbed: str | None = None
+
+    @property
+    def sets(self) -> dict[str, str]:
+        """Folders, and the sort of trials in each."""
+        return {"nulls": "0", "effects": self.effects}
 
 
 def run_trial_benchmark(plan: Plan, progress: Progress) -> Card:
@@ -42,10 +47,20 @@ def run_trial_benchmark(plan: Plan, progress: Progress) -> Card:
     Raises what making, running and scoring raise.
     """
     judged: list[Judged] = []
-    for number, (name, sort) in enumerate(SETS.items()):
+    for number, (name, sort) in enumerate(plan.sets.items()):
         folder = plan.out / name
         seed = None if plan.seed is None else 2 * plan.seed + number
-        order = Order(plan.kind, plan.trials, sort, folder, answers_beside(folder), seed, True, plan.first)
+        order = Order(
+            plan.kind,
+            plan.trials,
+            sort,
+            folder,
+            answers_beside(folder),
+            seed,
+            resume=True,
+            first=plan.first,
+            disturbed=plan.disturbed,
+        )
         say = partial(_tell, progress, name)
         make_trials(order, plan.jobs, say)
         run_trials(folder, plan.jobs, say, plan.method)

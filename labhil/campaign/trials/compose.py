@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from labhil.campaign.trials.answer import Answer, TrueEffect
 from labhil.campaign.trials.bench import bench_of
+from labhil.campaign.trials.disturbed import SIZES, Disturbance, Kind
 from labhil.campaign.trials.draw import BRISTLES, COUNTS
 from labhil.campaign.trials.noise import TrueNoise
 from labhil.campaign.trials.oracle import Oracle, Refit
@@ -24,6 +27,8 @@ CLOSE = 0.12
 REFITS = 6
 FIRST_FACTOR = 0.2
 """Where sizes begin: small effects are refitted faster, and grow as they should."""
+FIRST_DISTURBANCE = 0.02
+"""Of the command's unit, or of its gain."""
 FACTORS = (1e-5, 30.0)
 LEAST_EXCESS = 1e-3
 LEAST_GROWTH = 0.2
@@ -44,8 +49,14 @@ class Composed:
     oracle: Oracle
 
 
-def compose(kind: str, sort: str, random: np.random.Generator, seconds: float | None = None) -> Composed:
-    """Draw one trial of a sort, ``seconds`` long (None: as long as the bench has them).
+def compose(
+    kind: str,
+    sort: str,
+    random: np.random.Generator,
+    seconds: float | None = None,
+    disturbed: Kind | None = None,
+) -> Composed:
+    """Draw one trial of a sort, ``seconds`` long (None: as long as the bench has them), or ``disturbed``.
 
     RunError where nothing that was drawn can be as strong as it is to be.
     """
@@ -55,8 +66,10 @@ def compose(kind: str, sort: str, random: np.random.Generator, seconds: float | 
         bare = Secret(setup, setup.draw_base(random))
         try:
             noise = setup.loudness(bare)
-            effects = _effects(bare, noise, sort, random)
-            return composed(replace(bare, effects=tuple(effects)), noise)
+            secret = replace(bare, effects=tuple(_effects(bare, noise, sort, random)))
+            if disturbed is not None:
+                secret = _disturbed(secret, noise, disturbed, random)
+            return composed(secret, noise)
         except (UsageError, RecordingError):
             continue  # a plant that hits its stops or runs away makes no trial
     raise RunError(f"no trial of {kind} with {sort} effects could be drawn in {DRAWS} attempts")
@@ -93,9 +106,15 @@ def answer_of(found: Composed, name: str, recordings: dict[str, str]) -> Answer:
         noise=found.noise,
         noise_floors=dict(zip(oracle.test.output_names, floors.tolist(), strict=True)),
         baseline_strength=oracle.strength(plain),
-        conditions=secret.setup.told(),
+        conditions=_conditions(secret),
         plant=secret.parameters,
     )
+
+
+def _conditions(secret: Secret) -> dict[str, Any]:
+    """Under which conditions it was recorded, with what disturbed."""
+    told = secret.setup.told()
+    return told if secret.disturbance is None else {**told, "disturbance": asdict(secret.disturbance)}
 
 
 def _effect(found: Composed, drawn: Drawn, without: Refit | None, full: Refit) -> TrueEffect:
@@ -148,23 +167,56 @@ def _effects(bare: Secret, noise: TrueNoise, sort: str, random: np.random.Genera
 def _scaled(bare: Secret, drawn: Drawn, noise: TrueNoise) -> Drawn | None:
     """The effect with its target's strength beside those that are there, or None where it cannot have it.
 
-    What counts is how much the squared RMSE exceeds that of the same bench without the effect. It grows
-    about as the square of a small effect: a secant on logarithms.
+    What counts is how much the squared RMSE exceeds that of the same bench without the effect.
     """
-    wanted = math.log(drawn.target**2 - 1.0)
     unstirred = _strength(bare, None, noise, drawn.joint)
-    factor, slope = FIRST_FACTOR, 2.0
+    factor = _factor(
+        lambda factor: _strength(bare, drawn.scaled(factor), noise, drawn.joint),
+        unstirred,
+        drawn.target,
+        FIRST_FACTOR,
+    )
+    return None if factor is None else drawn.scaled(factor)
+
+
+def _disturbed(secret: Secret, noise: TrueNoise, kind: Kind, random: np.random.Generator) -> Secret:
+    """The secret with a disturbance that leaves so many noise levels beside a model of everything else."""
+    unit = Disturbance.drawn(kind, random)
+    by_noise = float(random.uniform(*SIZES))
+
+    def sized(factor: float) -> Secret:
+        return replace(secret, disturbance=replace(unit, size=factor))
+
+    found = _factor(
+        lambda factor: _strength(sized(factor), None, noise, None),
+        _strength(secret, None, noise, None),
+        math.hypot(1.0, by_noise),
+        FIRST_DISTURBANCE,
+    )
+    if found is None:
+        raise UsageError(f"no {kind} at the drive of {secret.kind} could be scaled")
+    return sized(found)
+
+
+def _factor(
+    strength_at: Callable[[float], float], unstirred: float, target: float, factor: float
+) -> float | None:
+    """The factor at which a strength beyond the ``unstirred`` one is ``target``; None where there is none.
+
+    The excess grows about as the square of a small effect: a secant on logarithms.
+    """
+    wanted = math.log(target**2 - 1.0)
+    slope = 2.0
     before: tuple[float, float] | None = None
     for _ in range(REFITS):
-        sized = drawn.scaled(factor)
         try:
-            strength = _strength(bare, sized, noise, drawn.joint)
+            strength = strength_at(factor)
         except (UsageError, RecordingError):
             factor /= 3.0  # so strong that the plant cannot be run
             continue
         excess = max(strength**2 - unstirred**2, LEAST_EXCESS)
-        if abs(math.log(math.sqrt(1.0 + excess) / drawn.target)) < CLOSE and excess > LEAST_EXCESS:
-            return sized
+        if abs(math.log(math.sqrt(1.0 + excess) / target)) < CLOSE and excess > LEAST_EXCESS:
+            return factor
         now = math.log(factor), math.log(excess)
         if before is not None and abs(now[0] - before[0]) > 1e-6:
             grown = (now[1] - before[1]) / (now[0] - before[0])

@@ -20,6 +20,8 @@ RIVAL_LOSS = 5.0
 MODELLED = 0.8
 UNMODELLED = "unmodelled"
 NONE = "none"
+UNNAMED = frozenset({"unexplained_mismatch", "not_decidable"})
+"""Verdicts that blame no physics."""
 OUTSIDE = "outside the catalogue"
 
 Loss = Callable[[TrueEffect, str], float]
@@ -36,7 +38,7 @@ class Judged:
     was right, ``covered`` for each interval whether it holds the truth, ``complete`` whether the final model
     holds every listed effect. ``modelled`` and ``after_over_floor`` are None where there is nothing
     to compare. ``joints`` tells of each effect that has to be found and is in a joint whether anything was
-    said to be in that joint.
+    said to be in that joint. ``disturbed`` says that more acted on the rig than any model has.
     """
 
     trial: str
@@ -58,11 +60,12 @@ class Judged:
     overlap: float | None
     seconds: float
     joints: tuple[bool, ...] = ()
+    disturbed: bool = False
 
     @property
     def alarm(self) -> bool:
-        """Whether anything was said to be wrong."""
-        return self.verdict != "no_mismatch"
+        """Whether anything was said to be wrong that is not; what disturbs a rig may be left unexplained."""
+        return self.verdict != "no_mismatch" and not (self.disturbed and self.verdict in UNNAMED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +115,7 @@ def judge(answer: Answer, said: Said, loss: Loss, overlap: float | None = None) 
         overlap=overlap,
         seconds=said.seconds,
         joints=_joints(sure, said),
+        disturbed="disturbance" in answer.conditions,
     )
 
 

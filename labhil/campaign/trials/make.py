@@ -14,6 +14,7 @@ import numpy as np
 
 from labhil.campaign.trials.bench import bench_of
 from labhil.campaign.trials.compose import Composed, answer_of, compose
+from labhil.campaign.trials.disturbed import kind_of
 from labhil.campaign.trials.draw import draw_sort, refuse_unknown_sort
 from labhil.campaign.trials.folder import INDEX, RIG, Index, Listed, read_index, recording
 from labhil.campaign.trials.seal import sha256_of, write_envelope
@@ -35,7 +36,7 @@ class Order:
 
     ``seed`` None draws from the system's randomness; with ``resume`` trials of the same order that are there
     stay. The ``first`` has that number: of a seed whose earlier trials somebody has looked at. Recordings
-    are as long as the bench has them, or so many ``seconds``.
+    are as long as the bench has them, or so many ``seconds``. ``disturbed`` names what disturbs all of them.
     """
 
     kind: str
@@ -47,6 +48,7 @@ class Order:
     resume: bool = False
     first: int = 1
     seconds: float | None = None
+    disturbed: str | None = None
 
     @property
     def names(self) -> dict[str, int]:
@@ -116,7 +118,8 @@ def _made(order: Order, names: Collection[str]) -> dict[str, Listed]:
 def make_trial(order: Order, name: str, entropy: tuple[int, ...]) -> Listed:
     """Draw and write one trial; only its seal is returned."""
     random = np.random.default_rng(entropy)
-    found = compose(order.kind, draw_sort(order.sort, random), random, order.seconds)
+    sort = draw_sort(order.sort, random)
+    found = compose(order.kind, sort, random, order.seconds, kind_of(order.disturbed))
     paths = [_write(found, walk, order.out, name, i) for i, walk in enumerate(found.walks)]
     hashes = {path.stem: sha256_of(path) for path in paths}
     answer = answer_of(found, name, hashes).to_json()
@@ -134,6 +137,8 @@ def _checked(order: Order, jobs: int) -> Bench:
     if order.seconds is not None and not order.seconds >= SHORTEST:
         raise UsageError(f"--seconds: expected at least {SHORTEST:g}, found {order.seconds:g}")
     refuse_unknown_sort(order.sort)
+    if kind_of(order.disturbed) is not None and order.kind == "ur5":
+        raise UsageError("--disturbed: expected a rig that one input drives, found ur5")
     if order.answers.resolve().is_relative_to(order.out.resolve()):
         raise UsageError(
             f"--answers {order.answers}: expected a folder outside {order.out}, which a diagnosis may read"

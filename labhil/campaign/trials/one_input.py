@@ -259,15 +259,18 @@ class OneInputSetup:
         excitation = excitation_of(made.excitation, t, loop, np.random.default_rng([seed, 1]))
         excitation = np.r_[np.full(BEFORE, excitation[0]), excitation]
         law = Law(loop.controller, bench.period)
+        factor, added = np.ones(len(excitation)), np.zeros(len(excitation))
+        if secret.disturbance is not None:
+            factor, added = secret.disturbance.acting(len(excitation), bench.period, seed)
         if commands is None and not loop.closed:
             commands = np.array([law.command(value, 0.0) for value in excitation.tolist()])
         if commands is not None:
-            return _followed(plant, commands, KINDS[bench.kind].inputs[0])
+            return _followed(plant, commands, factor * commands + added, KINDS[bench.kind].inputs[0])
         rows: list[Mapping[str, float]] = []
         sent, stamps, seen = np.empty(len(excitation)), np.empty(len(excitation)), 0.0
         for k, wanted in enumerate(excitation.tolist()):
             sent[k] = law.command(wanted, seen)
-            rows.append(plant.step(float(sent[k])))
+            rows.append(plant.step(float(factor[k] * sent[k] + added[k])))
             stamps[k] = plant.time
             seen = rows[-1][bench.outputs[0]]
         source, rows, stamps = KINDS[bench.kind].inputs[0], rows[BEFORE:-1], stamps[BEFORE:-1]
@@ -275,13 +278,12 @@ class OneInputSetup:
         return Walk(stamps - stamps[0], sent, {source.name: _acting(sent, source)} | signals)
 
 
-def _followed(plant: Plant, sent: FloatArray, source: Signal) -> Walk:
-    """What a plant does at commands (BEFORE + n + 1,) that are known beforehand."""
-    for value in sent[: BEFORE + 1].tolist():
+def _followed(plant: Plant, sent: FloatArray, done: FloatArray, source: Signal) -> Walk:
+    """What a plant does at commands (BEFORE + n + 1,) that are known beforehand: as sent, and as they act."""
+    for value in done[: BEFORE + 1].tolist():
         plant.step(value)
-    acting = _acting(sent, source)
-    run = plant.simulate(acting)
-    return Walk(run.t, sent, {source.name: acting, **run.measured})
+    run = plant.simulate(_acting(done, source))
+    return Walk(run.t, sent, {source.name: _acting(sent, source), **run.measured})
 
 
 def _acting(sent: FloatArray, source: Signal) -> FloatArray:

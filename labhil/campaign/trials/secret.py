@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from labhil.campaign.trials.disturbed import Disturbance
 from labhil.campaign.trials.noise import TrueNoise
 from labhil.physics.model import Model, Record
 from labhil.physics.rigs import rig_model
@@ -48,11 +49,12 @@ class Drawn:
 
 @dataclass(frozen=True, slots=True)
 class Secret:
-    """All that is concealed: how the rig is set up, the baseline's numbers and the effects."""
+    """All that is concealed: how the rig is set up, the baseline's numbers, the effects, what disturbs."""
 
     setup: Setup
     base: Mapping[str, float]
     effects: tuple[Drawn, ...] = ()
+    disturbance: Disturbance | None = None
 
     @property
     def kind(self) -> str:
