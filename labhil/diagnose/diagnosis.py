@@ -33,7 +33,7 @@ from labhil.diagnose.wider import looked_wider
 from labhil.ending import EndedEarly, accept
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import score, with_forces
-from labhil.identify.statistics import Estimate, stated, with_error
+from labhil.identify.statistics import Estimate, stated, with_error, with_wider_error
 from labhil.identify.table import table_of
 from labhil.physics.model import Model, Record, index_of, terms_named
 from labhil.physics.terms import Parameter, keyed, unkeyed
@@ -262,7 +262,18 @@ def _rows(found: Found, curves: Sequence[Unmodelled], accepted: Accepted | None 
     rows = stated(held, values, errors) + rows
     known = [p for term in terms_named(fitted.problem.model, fitted.terms) for p in term.known]
     rows += stated(known, np.array([p.scale for p in known]), np.zeros(len(known)))
-    return [with_error(row, found.errors.get(row.key, 0.0)) for row in rows]
+    rows = [with_error(row, found.errors.get(row.key, 0.0)) for row in rows]
+    return [_between_models(row, found) for row in rows]
+
+
+def _between_models(row: Estimate, found: Found) -> Estimate:
+    """The row with the variance between likely structures, too."""
+    between = found.between_structures(row.key)
+    if not (between > 0.0 and np.isfinite(row.std_error)):
+        return row
+    parameter = next(p for p in found.final.problem.model.parameters if p.key == row.key)
+    error = float(np.hypot(row.std_error, between))
+    return with_wider_error(row, error, (parameter.lower, parameter.upper))
 
 
 def _suffices(end: Concluded, verdict: str) -> float:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from labhil.diagnose.collapsed import Collapsed
 from labhil.diagnose.curve import Curved
 from labhil.diagnose.evidence import Evidence
@@ -48,6 +50,14 @@ class Minor:
 
 
 @dataclass(frozen=True, slots=True)
+class Alternative:
+    """What a structure that was refitted estimates: ``values`` by key, with its ``probability``."""
+
+    probability: float
+    values: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
 class FittedCurve:
     """A curve as it was refitted ``beside`` some terms, and its log odds over the likeliest named ones."""
 
@@ -62,8 +72,9 @@ class Found:
 
     ``collapsed`` are sizes of the rig that gave way in the baseline. ``curve`` is a force without a name that
     is likelier than more names, fitted beside those that are left. ``minor`` are terms that explain
-    too little, ``open`` those that are about as likely as not. ``complete`` is False where it was ended
-    early, with the best so far.
+    too little, ``open`` those that are about as likely as not. ``disturbed`` says that by the evidence
+    something lasts beside the likeliest structure. ``alternatives`` are that and all others that were
+    refitted. ``complete`` is False where it was ended early, with the best so far.
     """
 
     baseline: Fitted
@@ -78,6 +89,8 @@ class Found:
     curve: FittedCurve | None = None
     minor: tuple[Minor, ...] = ()
     open: tuple[str, ...] = ()
+    disturbed: bool = False
+    alternatives: tuple[Alternative, ...] = ()
 
     @property
     def nothing(self) -> Found:
@@ -89,6 +102,18 @@ class Found:
         there = {step.terms[0] for step in steps}
         rivals = tuple(rival for rival in self.rivals if rival.instead_of in there)
         return replace(self, final=final, missing=steps, rivals=rivals) if steps else self.nothing
+
+    def between_structures(self, key: str) -> float:
+        """How far other likely structures' estimates of a parameter are from the final one, RMS.
+
+        The part of an estimate's variance that is between models (Hoeting and others 1999).
+        """
+        own = self.final.estimates
+        having = [each for each in self.alternatives if key in each.values]
+        if key not in own or not having:
+            return 0.0
+        squares = [each.probability * (each.values[key] - own[key]) ** 2 for each in having]
+        return float(np.sqrt(sum(squares) / sum(each.probability for each in having)))
 
     def step(self, term: str) -> Step:
         """The step that added a term; StopIteration where it was none that counts."""

@@ -145,9 +145,15 @@ def _told(data: Data, model: Loadable, found: Found, load: Load, accepted: Accep
     step = Step((TERM,), evidence, p_search, told=True)
     rivals = tuple(r for r in found.rivals if r.instead_of in final.terms)
     return replace(
-        found, baseline=baseline, final=final, missing=(step, *found.missing), rivals=rivals, errors=errors
+        found,
+        baseline=baseline,
+        final=final,
+        missing=(step, *found.missing),
+        rivals=rivals,
+        errors=errors,
+        alternatives=(),  # none of them has a load
     )
 
 
 def _free(fitted: Fitted) -> list[str]:
-    return [fitted.problem.model.parameters[i].key for i in fitted.problem.free]
+    return list(fitted.estimates)

@@ -32,11 +32,14 @@ class Explained:
 def without_minor(data: Data, found: Found) -> Found:
     """What was found but for terms that explain less than the noise and too little, the least one first.
 
+    Only where by the evidence something lasts beside what was found: laws that leave nothing but noise are no
+    imperfect ones.
+
     Args:
         data: what was searched.
         found: what the evidence and held-out data speak for; a curve has been weighed beside all of it.
     """
-    if found.curve is not None or not found.complete:
+    if found.curve is not None or not found.complete or not found.disturbed:
         return found
     fit = found.final
     data = replace(data, model=fit.problem.model, window=fit.window, sigma=fit.problem.sigma, held=fit.held)

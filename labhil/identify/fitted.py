@@ -54,6 +54,12 @@ class Fitted:
         return np.asarray(np.sum(outputs**2, axis=0) * outputs.shape[1] / self.dof)
 
     @property
+    def estimates(self) -> dict[str, float]:
+        """What was estimated, by key."""
+        parameters = self.problem.model.parameters
+        return {parameters[place].key: float(self.theta[place]) for place in self.problem.free}
+
+    @property
     def held(self) -> frozenset[str]:
         """Keys of the rig's own parameters that were not estimated though these terms have them free."""
         parameters = self.problem.model.parameters

@@ -54,7 +54,7 @@ def found_with(model, record, sizes) -> tuple[Data, Found]:
         return fit_terms(model, record, terms, WINDOW, data.sigma, start=data.begin)
 
     steps = tuple(Step((term,), Evidence(-99.0, 1e-9, 9.0), 1e-9, True) for term in sizes)
-    return data, Found(fit(BASELINE), fit((*BASELINE, *sizes)), steps, (), 1e-9, 2)
+    return data, Found(fit(BASELINE), fit((*BASELINE, *sizes)), steps, (), 1e-9, 2, disturbed=True)
 
 
 def beside_dry_friction(acquire, noise):
@@ -93,6 +93,14 @@ def test_what_stands_out_of_the_noise_is_named_however_large_the_rest(model, acq
         model, beside_dry_friction(acquire, 2e-5), ("coulomb_friction", "constant_force")
     )
     assert without_minor(data, found).missing == found.missing
+
+
+def test_where_nothing_lasts_beside_what_was_found_its_laws_are_not_imperfect(model, acquire) -> None:
+    data, found = found_with(
+        model, beside_dry_friction(acquire, 5e-4), ("coulomb_friction", "constant_force")
+    )
+    adequate = replace(found, disturbed=False)
+    assert without_minor(data, adequate) is adequate
 
 
 def test_of_one_term_or_where_a_search_was_cut_short_all_stays(model, acquire) -> None:

@@ -14,6 +14,7 @@ from labhil.diagnose.refit import without
 from labhil.diagnose.structures.enumerate import Structure, closed
 from labhil.diagnose.structures.state import (
     SearchState,
+    alternatives,
     as_likely_as_not,
     inclusion,
     log_odds,
@@ -66,6 +67,8 @@ def concluded(stage: Stage, claim: float, looks: int) -> Found:
         p_value,
         looks,
         open=as_likely_as_not(state),
+        disturbed=state.refitted[best].log_evidence - state.refitted[best].undisturbed > claim,
+        alternatives=alternatives(state),
     )
     return found.ending(found.final, found.missing)
 

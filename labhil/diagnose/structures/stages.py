@@ -97,7 +97,8 @@ def _with_curve(
     if not predicts_better(data.judge(found.final.theta), extended.judge(curve.curved.fitted.theta)):
         return found
     steps = tuple(step for step in found.missing if step.terms[0] in curve.beside.terms)
-    return replace(found.ending(_unplaced(shorter, curve.beside), steps), curve=curve)
+    # structures without a curve are no alternatives to one that is so much likelier
+    return replace(found.ending(_unplaced(shorter, curve.beside), steps), curve=curve, alternatives=())
 
 
 def _unplaced(data: Data, beside: Fitted) -> Fitted:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import expit
 
-from labhil.diagnose.found import Rival
+from labhil.diagnose.found import Alternative, Rival
 from labhil.diagnose.structures.enumerate import (
     Choice,
     Enumeration,
@@ -20,6 +20,9 @@ from labhil.diagnose.structures.enumerate import (
 from labhil.identify.fitted import Fitted
 from labhil.physics.model import Model
 from labhil.signals import BoolArray
+
+UNLIKELY = 1e-4
+"""Probability below which what a structure estimates can move no interval at 99 %."""
 
 UNDECIDED = 0.1
 """Probability from which a term that is not named is as open as one that is not there."""
@@ -117,6 +120,20 @@ def inclusion(state: SearchState) -> dict[str, float]:
         for term in structure:
             found[term] = min(found.get(term, 0.0) + weight, 1.0)
     return found
+
+
+def alternatives(state: SearchState) -> tuple[Alternative, ...]:
+    """What every refitted structure estimates, with its probability among these."""
+    known = state.log_evidence()
+    kept = [s for s in state.refitted if np.isfinite(known.get(s, -np.inf))]
+    logs = np.array([known[s] for s in kept])
+    weights = np.exp(logs - logs.max())
+    fits = [state.refitted[s].fitted for s in kept]
+    return tuple(
+        Alternative(share, fit.estimates)
+        for share, fit in zip((weights / weights.sum()).tolist(), fits, strict=True)
+        if share > UNLIKELY
+    )
 
 
 def log_odds(model: Model, state: SearchState, term: str) -> float:

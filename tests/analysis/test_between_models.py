@@ -1,0 +1,42 @@
+"""Where several structures are likely, an interval holds what each of them estimates."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labhil.diagnose.diagnosis import _rows
+from labhil.diagnose.found import Alternative, Found
+from labhil.identify.fitted import fit_terms
+from labhil.identify.windows import noise_of
+
+KEY = "viscous_friction.coefficient"
+
+
+@pytest.fixture(scope="module")
+def found(model, acquire) -> Found:
+    """A search that ended at the baseline."""
+    values = {"viscous_friction.coefficient": 0.5, "position_noise": 1e-4}
+    record = acquire(("viscous_friction",), 6, parameters=values, duration=20.0)
+    fitted = fit_terms(model, record, ("viscous_friction",), 2.0, noise_of(record))
+    return Found(fitted, fitted, (), (), 1.0, 1)
+
+
+def test_the_variance_between_structures_is_added_to_that_within(found: Found) -> None:
+    (row,) = [row for row in _rows(found, ()) if row.key == KEY]
+    apart = 3.0 * row.std_error
+    others = (Alternative(0.8, {KEY: row.value}), Alternative(0.2, {KEY: row.value + apart}))
+    (wider,) = [r for r in _rows(replace(found, alternatives=others), ()) if r.key == KEY]
+    assert wider.value == row.value
+    assert wider.std_error == pytest.approx(np.hypot(row.std_error, np.sqrt(0.2) * apart))
+    assert wider.ci99[0] < row.ci99[0] < row.ci99[1] < wider.ci99[1]
+
+
+def test_structures_without_a_parameter_say_nothing_of_it(found: Found) -> None:
+    own = found.final.estimates[KEY]
+    others = (Alternative(0.5, {}), Alternative(0.5, {KEY: 1.1 * own}))
+    assert replace(found, alternatives=others).between_structures(KEY) == pytest.approx(0.1 * own)
+    assert replace(found, alternatives=others).between_structures("nothing.of_the_kind") == 0.0
+    assert found.between_structures(KEY) == 0.0
