@@ -162,6 +162,7 @@ def diagnosis_json(diagnosis: Diagnosis, sources: Sequence[Source]) -> Any:
             "improvement": _improvement(diagnosis),
             "remainder": None if diagnosis.remainder is None else asdict(diagnosis.remainder),
             "final": {"terms": list(diagnosis.final_terms), "parameters": _rows(diagnosis.final)},
+            "scale_factor": diagnosis.scale_factor,
             "curve": None if diagnosis.curve is None else _curve(diagnosis.curve),
             "further_curves": [_curve(curve) for curve in diagnosis.further_curves],
             "complete": diagnosis.complete,

@@ -47,3 +47,17 @@ def fit_verdict(verdict: str, residual_over_noise: Mapping[str, float | None], r
 def verdict_line(found: Adequacy) -> str:
     """The same of the gate's answer."""
     return fit_verdict(found.verdict.value, found.residual_over_noise, found.r2)
+
+
+DISAGREEING = 1.1
+"""Scale factor of errors from which it is worth a sentence."""
+
+
+def disagreement(scale_factor: float | None) -> str:
+    """What to know of errors where searched and held-out data disagree on the values; nothing else."""
+    if scale_factor is None or scale_factor < DISAGREEING:
+        return ""
+    return (
+        f"Errors are {scale_factor:.2g} times those of the fit: by so much searched and held-out data"
+        " disagree on the values."
+    )

@@ -9,7 +9,9 @@ import numpy as np
 
 from labhil.errors import ModelFileError
 from labhil.identify.fitted import free_of, start_theta
+from labhil.identify.statistics import Estimate
 from labhil.physics.model import Model
+from labhil.physics.terms import Parameter, keyed
 from labhil.signals import FloatArray, IntArray
 
 MOST_COLOURED = 3.0
@@ -80,3 +82,13 @@ class Accepted:
             return max(1.0, self.residual_ratio.get(channel, refitted))
         reached = min(self.residual_ratio.get(channel, 1.0), self.shortest or MOST_COLOURED)
         return min(max(1.0, reached), MOST_COLOURED)
+
+
+def accepted_error(accepted: Accepted | None, of: Estimate | Parameter) -> float:
+    """Standard error of a value of the accepted model, zero where there is none or it is taken as exact."""
+    if accepted is None:
+        return 0.0
+    # a model of one recording states a value once for all
+    keys = (of.key, keyed(of.name, of.joint))
+    key = next((key for key in keys if key in accepted.keys), of.key)
+    return float(np.sqrt(accepted.covariance_of([key])[0, 0]))

@@ -113,8 +113,9 @@ class Diagnosis:
     after on windows as short as the search's, where the answer only shows on those. ``collapsed`` are sizes
     of the rig that the baseline alone takes far from what is known of them. ``remainder`` is what the answer
     explains and what it leaves. ``curve`` is the
-    strongest one, ``further_curves`` are those of an arm's other joints. ``complete`` is False where it was
-    ended early, with the best so far.
+    strongest one, ``further_curves`` are those of an arm's other joints. ``scale_factor`` is in all errors of
+    ``final``: by it searched and held-out data disagree on the values more than noise explains.
+    ``complete`` is False where it was ended early, with the best so far.
     """
 
     verdict: str
@@ -146,6 +147,7 @@ class Diagnosis:
     wider: bool = False
     complete: bool = True
     remainder: Remainder | None = None
+    scale_factor: float = 1.0
 
     @property
     def named(self) -> list[str]:

@@ -11,12 +11,13 @@ import numpy as np
 from scipy import stats
 
 from labhil.diagnose import telling
-from labhil.diagnose.accepted import Accepted
+from labhil.diagnose.accepted import Accepted, accepted_error
 from labhil.diagnose.answer import Change, Diagnosis, Undecided
 from labhil.diagnose.begin import baseline_of, data_of, fit_baseline
 from labhil.diagnose.collapsed import given_way, kept_near
 from labhil.diagnose.conclude import Concluded, conclude
 from labhil.diagnose.evidence import effective_samples
+from labhil.diagnose.final_table import final_table
 from labhil.diagnose.found import Found
 from labhil.diagnose.intake import Fault, usable
 from labhil.diagnose.joint_curves import strongest
@@ -33,10 +34,10 @@ from labhil.diagnose.wider import looked_wider
 from labhil.ending import EndedEarly, accept
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import score, with_forces
-from labhil.identify.statistics import Estimate, stated, with_error, with_wider_error
+from labhil.identify.statistics import Estimate
 from labhil.identify.table import table_of
-from labhil.physics.model import Model, Record, index_of, terms_named
-from labhil.physics.terms import Parameter, keyed, unkeyed
+from labhil.physics.model import Model, Record, terms_named
+from labhil.physics.terms import unkeyed
 
 FALSE_ALARM = 5e-4
 
@@ -74,8 +75,8 @@ def diagnose(
         return replace(stated, complete=not ended_early)
     look = partial(_found, terms=terms, reference=reference, accepted=accepted, progress=progress)
     end = _concluded(data, look(data, base), look, progress)
-    found, curves, told, claimed = end.found, end.curves, strongest(end.curves), end.doubts
-    final = _rows(found, curves, accepted)
+    found, told, claimed = end.found, strongest(end.curves), end.doubts
+    final, scale = final_table(end, accepted)
     changed = _changes(final, reference, accepted)
     verdict = _verdict(end, changed)
     wider = end.data.test is not data.test
@@ -115,6 +116,7 @@ def diagnose(
         shorter=end.on_shorter_windows,
         wider=wider,
         complete=found.complete,
+        scale_factor=scale,
         remainder=find_remainder(_names(found, told), *end.accepted, end.data.test, end.before, end.after),
     )
 
@@ -244,38 +246,6 @@ def _excited(record: Record, sigma: np.ndarray) -> bool:
     )
 
 
-def _rows(found: Found, curves: Sequence[Unmodelled], accepted: Accepted | None = None) -> list[Estimate]:
-    """The table of what is left, sizes that were held included, with errors that the fit cannot know.
-
-    A size that was held at an accepted value is known as well as that.
-    """
-    fitted = found.final
-    rows = list(curves[-1].rows) if curves else []
-    there = {row.key for row in rows}
-    # what is named may have been held beside a curve
-    rows += [row for row in table_of(fitted).rows if row.key not in there]
-    there = {row.key for row in rows}
-    held = [p for p in fitted.problem.model.parameters if p.term is None and p.key not in there]
-    places = index_of(fitted.problem.model.parameters)
-    values = np.array([fitted.theta[places[p.key]] for p in held])
-    errors = np.array([found.errors.get(p.key, _accepted_error(accepted, p)) for p in held])
-    rows = stated(held, values, errors) + rows
-    known = [p for term in terms_named(fitted.problem.model, fitted.terms) for p in term.known]
-    rows += stated(known, np.array([p.scale for p in known]), np.zeros(len(known)))
-    rows = [with_error(row, found.errors.get(row.key, 0.0)) for row in rows]
-    return [_between_models(row, found) for row in rows]
-
-
-def _between_models(row: Estimate, found: Found) -> Estimate:
-    """The row with the variance between likely structures, too."""
-    between = found.between_structures(row.key)
-    if not (between > 0.0 and np.isfinite(row.std_error)):
-        return row
-    parameter = next(p for p in found.final.problem.model.parameters if p.key == row.key)
-    error = float(np.hypot(row.std_error, between))
-    return with_wider_error(row, error, (parameter.lower, parameter.upper))
-
-
 def _suffices(end: Concluded, verdict: str) -> float:
     """The p value that the baseline suffices: of what was added to it first, be it named or a curve.
 
@@ -315,22 +285,12 @@ def _changes(
     compared = [(rows[name], value) for name, value in (reference or {}).items() if name in rows]
     changes = []
     for row, value in compared:
-        error = float(np.hypot(row.std_error, _accepted_error(accepted, row)))
+        error = float(np.hypot(row.std_error, accepted_error(accepted, row)))
         p_value = float(2.0 * stats.norm.sf(abs(row.value - value) / error))
         if p_value * len(compared) < FALSE_ALARM:
             change = Change(row.name, row.joint, value, row.value, row.unit, row.ci99, p_value, row.recording)
             changes.append(change)
     return tuple(changes)
-
-
-def _accepted_error(accepted: Accepted | None, of: Estimate | Parameter) -> float:
-    """Standard error of a value of the accepted model, zero where there is none or it is taken as exact."""
-    if accepted is None:
-        return 0.0
-    # a model of one recording states a value once for all
-    keys = (of.key, keyed(of.name, of.joint))
-    key = next((key for key in keys if key in accepted.keys), of.key)
-    return float(np.sqrt(accepted.covariance_of([key])[0, 0]))
 
 
 def _unsearched(

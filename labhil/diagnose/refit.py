@@ -42,7 +42,8 @@ def refit(
 def on_windows(data: Data, fitted: Fitted) -> Fitted:
     """Refit on the data's windows and noise, beginning at states that fit these with the parameters kept."""
     old = fitted.problem
-    if abs(fitted.window - data.window) < 1e-9 and np.array_equal(old.sigma, data.sigma):
+    same = old.record is data.search and np.array_equal(old.sigma, data.sigma)
+    if same and abs(fitted.window - data.window) < 1e-9:
         return fitted
     windows = fit_windows(data.search, data.window)
     problem = Problem(old.model, data.search, windows, old.free, fitted.theta, data.sigma)

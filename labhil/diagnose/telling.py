@@ -12,6 +12,7 @@ from labhil.diagnose import locate
 from labhil.diagnose.answer import Curve, Excluded, Missing, RivalTerm, Undecided
 from labhil.diagnose.conclude import MISNAMED
 from labhil.diagnose.credence import credence
+from labhil.diagnose.discrepancy import main_parameters, slope
 from labhil.diagnose.found import Found, Rival, Step
 from labhil.diagnose.judge import Data
 from labhil.diagnose.minor import LEAST_SHARE
@@ -20,8 +21,8 @@ from labhil.identify.fitted import Fitted, covariances
 from labhil.identify.intervals import quantile
 from labhil.identify.score import Score
 from labhil.identify.statistics import Estimate
-from labhil.physics.model import Model, Record, index_of
-from labhil.physics.terms import Enters, Parameter, Term, keyed, unkeyed
+from labhil.physics.model import Model, Record
+from labhil.physics.terms import Enters, Term, keyed, unkeyed
 from labhil.signals import FloatArray
 
 WIDER = (
@@ -265,8 +266,8 @@ def excluded(data: Data, found: Found) -> tuple[Excluded, ...]:
     limits = []
     seen = {*found.final.terms, *(minor.term for minor in found.minor)}
     absent = [term for key, term in data.model.terms.items() if key not in seen]
-    for term, parameter in [(each, main) for each in absent for main in _main(each)]:
-        column = _slope(found.final, parameter)
+    for term, parameter in [(each, main) for each in absent for main in main_parameters(each)]:
+        column = slope(found.final, parameter)
         column = problem.project(lin, column[:, None])[:, 0]
         column = column - basis @ (basis.T @ column)
         power = float(column @ column)
@@ -279,18 +280,3 @@ def excluded(data: Data, found: Found) -> tuple[Excluded, ...]:
             Excluded(term.name, term.joint, float(largest), parameter.unit, 0.99, parameter.recording)
         )
     return tuple(limits)
-
-
-def _main(term: Term) -> list[Parameter]:
-    """A term's main parameter, in every recording that has one of its own."""
-    first = next(p for p in term.parameters if not p.shape)
-    return [p for p in term.parameters if p.name == first.name]
-
-
-def _slope(final: Fitted, parameter: Parameter) -> FloatArray:
-    """Change of the residuals (N,) per scale of a parameter at neutral, from a small finite step."""
-    step = 1e-2
-    theta = final.theta.copy()
-    theta[index_of(final.problem.model.parameters)[parameter.key]] += step * parameter.scale
-    residuals = final.problem.residuals_at(theta, final.solution.point.states)
-    return np.asarray((residuals - final.solution.residuals) / step)

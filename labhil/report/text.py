@@ -18,7 +18,7 @@ from labhil.analysis.schema import (
     Score,
     Source,
 )
-from labhil.analysis.verdicts import NOT_ASKED, VERDICTS
+from labhil.analysis.verdicts import NOT_ASKED, VERDICTS, disagreement
 from labhil.diagnose.fault import Kind
 from labhil.physics.terms import keyed, listed
 from labhil.report.absent import joints_table, of_joints, silences
@@ -245,6 +245,7 @@ def diagnosis_text(diagnosis: DiagnosisPart) -> RenderableType:
         *_found(diagnosis),
         *([] if diagnosis.improvement is None else _improvement(diagnosis.improvement)),
         parameter_table(diagnosis.judged_rows, "Final model"),
+        *[Text(line) for line in [disagreement(diagnosis.scale_factor)] if line],
         *_not_found(diagnosis),
     )
 

@@ -18,7 +18,7 @@ from labhil.analysis.schema import (
     Rival,
     Score,
 )
-from labhil.analysis.verdicts import FIT_VERDICTS, NOT_ASKED, VERDICTS
+from labhil.analysis.verdicts import FIT_VERDICTS, NOT_ASKED, VERDICTS, disagreement
 from labhil.physics.terms import keyed, listed
 from labhil.report.absent import joints_table, of_joints, silences
 from labhil.report.html.quantity import chance, interval, multiple, p_value, percent, quantity
@@ -198,6 +198,7 @@ def diagnosis_text(found: DiagnosisPart, colours: Colours) -> RenderableType:
     if found.improvement is not None:
         parts += [_title("How much better", colours), _improvement(found.improvement, colours)]
     parts += [_title("Final model", colours), parameter_table(found.judged_rows, colours)]
+    parts += [Text(line) for line in [disagreement(found.scale_factor)] if line]
     return Group(*parts, *_rest(found, colours))
 
 

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labhil.diagnose.diagnosis import _rows
+from labhil.diagnose.final_table import _with_bias
 from labhil.diagnose.found import Alternative, Found
 from labhil.identify.fitted import fit_terms
+from labhil.identify.table import table_of
 from labhil.identify.windows import noise_of
 
 KEY = "viscous_friction.coefficient"
@@ -25,12 +26,12 @@ def found(model, acquire) -> Found:
 
 
 def test_the_variance_between_structures_is_added_to_that_within(found: Found) -> None:
-    (row,) = [row for row in _rows(found, ()) if row.key == KEY]
+    (row,) = [row for row in table_of(found.final).rows if row.key == KEY]
     apart = 3.0 * row.std_error
     others = (Alternative(0.8, {KEY: row.value}), Alternative(0.2, {KEY: row.value + apart}))
-    (wider,) = [r for r in _rows(replace(found, alternatives=others), ()) if r.key == KEY]
+    wider = _with_bias(row, replace(found, alternatives=others), 2.0, 0.0)
     assert wider.value == row.value
-    assert wider.std_error == pytest.approx(np.hypot(row.std_error, np.sqrt(0.2) * apart))
+    assert wider.std_error == pytest.approx(np.hypot(2.0 * row.std_error, np.sqrt(0.2) * apart))
     assert wider.ci99[0] < row.ci99[0] < row.ci99[1] < wider.ci99[1]
 
 

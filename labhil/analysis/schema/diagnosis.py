@@ -382,6 +382,7 @@ class DiagnosisPart(StudyPart):
     improvement: Improvement | None = None
     remainder: Remainder | None = None
     final: FittedModel
+    scale_factor: Number = None
     curve: EstimatedCurve | None = None
     further_curves: tuple[EstimatedCurve, ...] = ()
 

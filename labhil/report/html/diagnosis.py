@@ -13,7 +13,7 @@ from labhil.analysis.schema import (
     MissingEffect,
     Rival,
 )
-from labhil.analysis.verdicts import NOT_ASKED, VERDICTS
+from labhil.analysis.verdicts import NOT_ASKED, VERDICTS, disagreement
 from labhil.physics.terms import keyed
 from labhil.report.absent import OfJoints, joints_in, of_joints, silences
 from labhil.report.html.curve import curve_picture
@@ -246,10 +246,11 @@ def _channel(channel: ChannelImprovement, metric: str, recording: int | None = N
 
 
 def _final(diagnosis: DiagnosisPart, album: Album) -> Section | None:
-    final = diagnosis.final
+    final, apart = diagnosis.final, disagreement(diagnosis.scale_factor)
     return section(
         "Final model",
         tag("p", "Its terms: ", names(final.terms), "."),
+        tag("p", apart) if apart else None,
         parameters_table(diagnosis.judged_rows, "Parameters of the final model, fitted to the search data"),
         intervals_picture(album, diagnosis.judged_rows),
     )

@@ -1,0 +1,82 @@
+"""How far what a model leaves unexplained may have moved its estimates.
+
+Only the part of a discrepancy that no parameter can make up for is left in the residuals r; the other part is
+in the estimates (Kennedy and O'Hagan, J. R. Stat. Soc. B 63, 2001). What is missing is taken for a mixture of
+effects like those of the catalogue. One whose response is x = J·s + x⊥, with the model's own slopes J, leaves
+x⊥ and moves the estimates by s. If it left all of the energy E beyond the noise, it would have moved them by
+s·√(E/|x⊥|²). Effects count by how much what they leave looks like r, so that
+
+    Var(θ) = Σ_m ρ_m²·s_m²·E/|x⊥_m|² / Σ_m ρ_m²,        ρ_m = x⊥_mᵀr / (|x⊥_m|·|r|).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from labhil.diagnose.structures.enumerate import KNOWN_NOISE
+from labhil.diagnose.structures.responses import STANDS_FOR
+from labhil.identify.fitted import Fitted
+from labhil.identify.problem import Linearised
+from labhil.physics.model import index_of
+from labhil.physics.terms import Parameter, Term
+from labhil.signals import FloatArray
+
+STEP = 1e-2
+"""Of a parameter's scale, by which an absent effect is stepped from where it does nothing."""
+
+
+def moved_by_what_is_left(fitted: Fitted) -> dict[str, float]:
+    """By how much a discrepancy may have moved each estimate, one standard deviation.
+
+    Args:
+        fitted: a model that was fitted to the searched data.
+
+    Returns:
+        Standard deviations by key, in SI units; empty where nothing is left beyond the noise.
+    """
+    problem, residuals = fitted.problem, fitted.solution.residuals
+    energy = float(residuals @ residuals) - KNOWN_NOISE**2 * fitted.dof
+    keys = list(fitted.estimates)
+    if energy <= 0.0 or not keys:
+        return {}
+    lin = problem.linearise(fitted.solution.point, residuals)
+    own = problem.project(lin, lin.by_parameters)
+    size = np.maximum(np.linalg.norm(own, axis=0), 1e-300)
+    inverse = np.linalg.pinv(own / size) / size[:, None]
+    moved, weights = np.zeros(len(keys)), 0.0
+    for response in _absent(fitted, lin):
+        shift = inverse @ response
+        left = response - own @ shift
+        power = float(left @ left)
+        if power <= STANDS_FOR * float(response @ response) or power <= 0.0:
+            continue
+        likeness = float(left @ residuals) ** 2 / power
+        moved += likeness * shift**2 * (energy / power)
+        weights += likeness
+    errors = np.sqrt(moved / weights) * problem.scale if weights > 0.0 else moved
+    return dict(zip(keys, errors.tolist(), strict=True))
+
+
+def main_parameters(term: Term) -> list[Parameter]:
+    """A term's first size, in every recording that has one of its own."""
+    first = next(p for p in term.parameters if not p.shape)
+    return [p for p in term.parameters if p.name == first.name]
+
+
+def slope(fitted: Fitted, parameter: Parameter) -> FloatArray:
+    """Change of the residuals (N·c,) per scale of a parameter at neutral, from a small finite step."""
+    theta = fitted.theta.copy()
+    theta[index_of(fitted.problem.model.parameters)[parameter.key]] += STEP * parameter.scale
+    residuals = fitted.problem.residuals_at(theta, fitted.solution.point.states)
+    return np.asarray((residuals - fitted.solution.residuals) / STEP)
+
+
+def _absent(fitted: Fitted, lin: Linearised) -> Iterator[FloatArray]:
+    """Responses (N·c,) of the effects that a fit lacks, the windows' states taken out."""
+    model = fitted.problem.model
+    for key, term in model.terms.items():
+        if key not in fitted.terms:
+            for parameter in main_parameters(term):
+                yield fitted.problem.project(lin, slope(fitted, parameter)[:, None])[:, 0]

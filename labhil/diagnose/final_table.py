@@ -1,0 +1,76 @@
+"""The table of what a diagnosis ends at: every value with an error that holds what the fit cannot know."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from labhil.diagnose.accepted import Accepted, accepted_error
+from labhil.diagnose.agreement import Contrast, between_parts, between_recordings, scale_factor
+from labhil.diagnose.conclude import Concluded
+from labhil.diagnose.discrepancy import moved_by_what_is_left
+from labhil.diagnose.found import Found
+from labhil.ending import EndedEarly, accept
+from labhil.identify.statistics import Estimate, stated, with_error, with_wider_error
+from labhil.identify.table import ParameterTable, table_of
+from labhil.physics.model import index_of, terms_named
+
+
+def final_table(end: Concluded, accepted: Accepted | None) -> tuple[list[Estimate], float]:
+    """The table of what is left, and the factor of its errors by which parts of the data disagree.
+
+    Args:
+        end: where a search ended.
+        accepted: the model that sizes were held at, None where there is none.
+
+    Returns:
+        Rows of all parameters, sizes that were held included, and the factor, at least 1.
+    """
+    table = table_of(end.found.final)
+    scale = scale_factor(_contrasts(end, table))
+    moved = moved_by_what_is_left(end.curves[-1].fit if end.curves else end.found.final)
+    of_curve = list(end.curves[-1].rows) if end.curves else []
+    # what is named may have been held beside a curve
+    there = {row.key for row in of_curve}
+    fitted = [*of_curve, *(row for row in table.rows if row.key not in there)]
+    rows = [_with_bias(row, end.found, scale, moved.get(row.key, 0.0)) for row in fitted]
+    return _with_held(rows, end.found, accepted), scale
+
+
+def _contrasts(end: Concluded, table: ParameterTable) -> list[Contrast]:
+    """What parts of the data say of the final model's parameters; of one with a curve the searched alone."""
+    final = end.found.final
+    if end.curves:
+        with_curve = end.curves[-1].fit
+        return between_parts(with_curve, table_of(with_curve))
+    contrasts = between_parts(final, table)
+    try:
+        return contrasts + (between_recordings(end.data, final, table) if end.found.complete else [])
+    except EndedEarly:
+        accept()
+        return contrasts
+
+
+def _with_held(rows: list[Estimate], found: Found, accepted: Accepted | None) -> list[Estimate]:
+    """The rows, those of sizes that were held before them, with errors that no fit can know.
+
+    A size that was held at an accepted value is known as well as that.
+    """
+    fitted = found.final
+    there = {row.key for row in rows}
+    held = [p for p in fitted.problem.model.parameters if p.term is None and p.key not in there]
+    places = index_of(fitted.problem.model.parameters)
+    values = np.array([fitted.theta[places[p.key]] for p in held])
+    errors = np.array([found.errors.get(p.key, accepted_error(accepted, p)) for p in held])
+    rows = stated(held, values, errors) + rows
+    known = [p for term in terms_named(fitted.problem.model, fitted.terms) for p in term.known]
+    rows += stated(known, np.array([p.scale for p in known]), np.zeros(len(known)))
+    return [with_error(row, found.errors.get(row.key, 0.0)) for row in rows]
+
+
+def _with_bias(row: Estimate, found: Found, scale: float, moved: float) -> Estimate:
+    """The row with its error times ``scale``, and beside it what is left and other structures may do."""
+    parameter = next((p for p in found.final.problem.model.parameters if p.key == row.key), None)
+    beside = np.hypot(found.between_structures(row.key), moved)
+    error = float(np.hypot(scale * row.std_error, beside))
+    bounds = (-np.inf, np.inf) if parameter is None else (parameter.lower, parameter.upper)
+    return with_wider_error(row, error, bounds)

@@ -1,0 +1,66 @@
+"""Parts of the data agree on the values of a complete model; where they contradict, errors grow."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labhil.diagnose.agreement import Contrast, between_parts, between_recordings, scale_factor
+from labhil.diagnose.judge import Data
+from labhil.identify.fitted import Fitted, fit_terms, start_theta
+from labhil.identify.table import table_of
+from labhil.identify.windows import noise_of
+
+SEEDS = range(1, 7)
+KEY = "viscous_friction.coefficient"
+TRUE = 0.5
+
+
+def searched(model, acquire, terms, values, seed) -> tuple[Data, Fitted]:
+    """A baseline fitted to one recording of a rig, with another recording held out."""
+    record, other = (
+        acquire(terms, each, parameters={"position_noise": 1e-4, KEY: TRUE} | values, duration=15.0)
+        for each in (seed, seed + 100)
+    )
+    data = Data(model, record, other, noise_of(record), noise_of(other), 2.0, start_theta(model))
+    return data, fit_terms(model, record, ("viscous_friction",), 2.0, data.sigma, start=data.begin)
+
+
+def factor_and_error(data: Data, fitted: Fitted) -> tuple[float, float]:
+    """The scale factor, and by how many standard errors the estimate is off."""
+    table = table_of(fitted)
+    factor = scale_factor([*between_parts(fitted, table), *between_recordings(data, fitted, table)])
+    (row,) = [row for row in table.rows if row.key == KEY]
+    return factor, abs(row.value - TRUE) / row.std_error
+
+
+def test_parts_of_a_complete_models_data_agree(model, acquire) -> None:
+    found = [factor_and_error(*searched(model, acquire, ("viscous_friction",), {}, s)) for s in SEEDS]
+    assert [factor for factor, _ in found] == [1.0] * len(SEEDS)
+
+
+def test_where_dry_friction_is_missing_slow_and_fast_windows_disagree(model, acquire) -> None:
+    missing = {"coulomb_friction.level": 0.003}
+    terms = ("viscous_friction", "coulomb_friction")
+    found = [factor_and_error(*searched(model, acquire, terms, missing, seed)) for seed in SEEDS]
+    assert all(factor > 2.0 for factor, _ in found)
+
+
+def test_the_size_of_a_contrast_is_that_of_the_normalised_difference() -> None:
+    random = np.random.default_rng(5)
+    root = random.standard_normal((3, 3))
+    covariance = root @ root.T
+    drawn = random.multivariate_normal(np.zeros(3), covariance, 20_000)
+    sizes = [Contrast(each, covariance).chi_square for each in drawn]
+    assert {dof for _, dof in sizes} == {3}
+    assert np.mean([size for size, _ in sizes]) == pytest.approx(3.0, abs=0.06)
+    unknown = Contrast(np.array([1.0, 9.0, 2.0]), np.diag([1.0, np.inf, 4.0]))
+    assert unknown.chi_square == (pytest.approx(2.0), 2)
+
+
+def test_the_factor_is_that_of_the_parts_that_contradict_each_other_most() -> None:
+    agreeing, apart = Contrast(np.array([1.0]), np.eye(1)), Contrast(np.array([5.0]), np.eye(1))
+    assert scale_factor([]) == scale_factor([agreeing]) == 1.0
+    assert scale_factor([agreeing, apart]) == pytest.approx(5.0)
+    # of enough comparisons one is that far apart by chance
+    assert scale_factor([Contrast(np.array([3.0]), np.eye(1))] + [agreeing] * 9) == 1.0

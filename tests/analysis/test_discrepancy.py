@@ -1,0 +1,47 @@
+"""Where a model leaves more than noise, intervals hold the truth although it is incomplete."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labhil.diagnose.discrepancy import moved_by_what_is_left
+from labhil.identify.fitted import fit_terms
+from labhil.identify.statistics import REACH
+from labhil.identify.table import table_of
+from labhil.identify.windows import noise_of
+
+SEEDS = (1, 2, 3)
+KEY = "viscous_friction.coefficient"
+TRUE = 0.5
+
+MISSING = {
+    "coulomb_friction.level": 0.003,
+    "quadratic_viscous_friction.coefficient": 0.3,
+    "spring_force.stiffness": 0.05,
+    "time_delay.delay": 0.02,
+    "actuator_lag.time_constant": 0.03,
+}
+
+
+def estimate(model, acquire, missing: str | None, seed: int) -> tuple[float, float, float]:
+    """The baseline's estimate, its standard error, and by how much what is left may have moved it."""
+    terms = ["viscous_friction", *([missing.partition(".")[0]] if missing else [])]
+    values = {"position_noise": 1e-4, KEY: TRUE} | ({missing: MISSING[missing]} if missing else {})
+    record = acquire(terms, seed, parameters=values, duration=15.0)
+    fitted = fit_terms(model, record, ("viscous_friction",), 2.0, noise_of(record))
+    (row,) = [row for row in table_of(fitted).rows if row.key == KEY]
+    return row.value, row.std_error, moved_by_what_is_left(fitted).get(KEY, 0.0)
+
+
+@pytest.mark.parametrize("missing", MISSING)
+def test_an_interval_of_an_incomplete_model_holds_the_truth(model, acquire, missing: str) -> None:
+    for seed in SEEDS:
+        value, error, moved = estimate(model, acquire, missing, seed)
+        assert abs(value - TRUE) > REACH * error  # the fit alone is sure of what is wrong
+        assert abs(value - TRUE) < REACH * np.hypot(error, moved)
+        assert moved < 0.5 * TRUE
+
+
+def test_of_a_complete_model_nothing_moves_the_estimates(model, acquire) -> None:
+    assert [estimate(model, acquire, None, seed)[2] for seed in SEEDS] == [0.0] * len(SEEDS)
