@@ -75,14 +75,27 @@ def diagnose(
         return replace(stated, complete=not ended_early)
     look = partial(_found, terms=terms, reference=reference, accepted=accepted, progress=progress)
     end = _concluded(data, look(data, base), look, progress)
-    found, told, claimed = end.found, strongest(end.curves), end.doubts
+    answer = _answer(data, end, accepted, reference)
+    return replace(
+        answer,
+        faults=faults,
+        data="test" if heldout_is_test else "heldout",
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _answer(
+    data: Data, end: Concluded, accepted: Accepted | None, reference: Mapping[str, float] | None
+) -> Diagnosis:
+    """What the end of a search in ``data`` says, but for faults of the data and the time that it took."""
+    model, found, told, claimed = data.model, end.found, strongest(end.curves), end.doubts
     final, scale = final_table(end, accepted)
     changed = _changes(final, reference, accepted)
     verdict = _verdict(end, changed)
     wider = end.data.test is not data.test
     return Diagnosis(
         verdict=verdict,
-        faults=faults,
+        faults=(),
         p_value=_suffices(end, verdict),
         p_value_method="tail_extrapolated",
         p_value_floor=0.0,
@@ -102,7 +115,7 @@ def diagnose(
             *telling.undecided(model),
         ),
         excluded=telling.excluded(end.data, found),
-        data="test" if heldout_is_test else "heldout",
+        data="heldout",
         held_out=end.data.test,
         before=with_forces(end.before, model, found.baseline.theta, end.data.test, end.sigma),
         after=with_forces(end.after, *end.accepted, end.data.test, end.sigma),
@@ -112,7 +125,7 @@ def diagnose(
         final_fit=found.final,
         curve=telling.curve(told[0]) if told else None,
         further_curves=tuple(telling.curve(curve) for curve in told[1:]),
-        seconds=time.perf_counter() - began,
+        seconds=0.0,
         shorter=end.on_shorter_windows,
         wider=wider,
         complete=found.complete,
