@@ -11,7 +11,7 @@ s·√(E/|x⊥|²). Effects count by how much what they leave looks like r, so t
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 import numpy as np
 
@@ -27,25 +27,28 @@ STEP = 1e-2
 """Of a parameter's scale, by which an absent effect is stepped from where it does nothing."""
 
 
-def moved_by_what_is_left(fitted: Fitted) -> dict[str, float]:
+def moved_by_what_is_left(fitted: Fitted, but: Collection[str] = ()) -> dict[str, float]:
     """By how much a discrepancy may have moved each estimate, one standard deviation.
 
     Args:
         fitted: a model that was fitted to the searched data.
+        but: keys of estimates that count as known: a curve's coefficients, which can stand for a friction of
+            the model, are kept apart from it by a convention.
 
     Returns:
         Standard deviations by key, in SI units; empty where nothing is left beyond the noise.
     """
     problem, residuals = fitted.problem, fitted.solution.residuals
     energy = float(residuals @ residuals) - KNOWN_NOISE**2 * fitted.dof
-    keys = list(fitted.estimates)
-    if energy <= 0.0 or not keys:
+    every = list(fitted.estimates)
+    free = [place for place, key in enumerate(every) if key not in but]
+    if energy <= 0.0 or not free:
         return {}
     lin = problem.linearise(fitted.solution.point, residuals)
-    own = problem.project(lin, lin.by_parameters)
+    own = problem.project(lin, lin.by_parameters[:, free])
     size = np.maximum(np.linalg.norm(own, axis=0), 1e-300)
     inverse = np.linalg.pinv(own / size) / size[:, None]
-    moved, weights = np.zeros(len(keys)), 0.0
+    moved, weights = np.zeros(len(free)), 0.0
     for response in _absent(fitted, lin):
         shift = inverse @ response
         left = response - own @ shift
@@ -55,8 +58,8 @@ def moved_by_what_is_left(fitted: Fitted) -> dict[str, float]:
         likeness = float(left @ residuals) ** 2 / power
         moved += likeness * shift**2 * (energy / power)
         weights += likeness
-    errors = np.sqrt(moved / weights) * problem.scale if weights > 0.0 else moved
-    return dict(zip(keys, errors.tolist(), strict=True))
+    errors = np.sqrt(moved / weights) * problem.scale[free] if weights > 0.0 else moved
+    return dict(zip((every[place] for place in free), errors.tolist(), strict=True))
 
 
 def main_parameters(term: Term) -> list[Parameter]:

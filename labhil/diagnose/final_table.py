@@ -27,7 +27,11 @@ def final_table(end: Concluded, accepted: Accepted | None) -> tuple[list[Estimat
     """
     table = table_of(end.found.final)
     scale = scale_factor(_contrasts(end, table))
-    moved = moved_by_what_is_left(end.curves[-1].fit if end.curves else end.found.final)
+    if end.curves:
+        curve = end.curves[-1]
+        moved = moved_by_what_is_left(curve.fit, but={each.key for each in curve.model.coefficients})
+    else:
+        moved = moved_by_what_is_left(end.found.final)
     of_curve = list(end.curves[-1].rows) if end.curves else []
     # what is named may have been held beside a curve
     there = {row.key for row in of_curve}

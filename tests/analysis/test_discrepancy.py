@@ -22,6 +22,7 @@ MISSING = {
     "time_delay.delay": 0.02,
     "actuator_lag.time_constant": 0.03,
 }
+MISSING_DRY = {"position_noise": 1e-4, KEY: TRUE, "coulomb_friction.level": 0.003}
 
 
 def estimate(model, acquire, missing: str | None, seed: int) -> tuple[float, float, float]:
@@ -41,6 +42,13 @@ def test_an_interval_of_an_incomplete_model_holds_the_truth(model, acquire, miss
         assert abs(value - TRUE) > REACH * error  # the fit alone is sure of what is wrong
         assert abs(value - TRUE) < REACH * np.hypot(error, moved)
         assert moved < 0.5 * TRUE
+
+
+def test_what_counts_as_known_is_not_moved(model, acquire) -> None:
+    record = acquire(("viscous_friction", "coulomb_friction"), 1, parameters=MISSING_DRY, duration=15.0)
+    fitted = fit_terms(model, record, ("viscous_friction",), 2.0, noise_of(record))
+    assert set(moved_by_what_is_left(fitted)) == set(fitted.estimates)
+    assert KEY not in moved_by_what_is_left(fitted, but={KEY})
 
 
 def test_of_a_complete_model_nothing_moves_the_estimates(model, acquire) -> None:
