@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from labhil.diagnose.accepted import Accepted, accepted_error
-from labhil.diagnose.agreement import Contrast, between_parts, between_recordings, scale_factor
+from labhil.diagnose.contrasts import Contrast, between_parts, between_recordings, scale_factor
 from labhil.diagnose.conclude import Concluded
 from labhil.diagnose.discrepancy import moved_by_what_is_left
 from labhil.diagnose.found import Found

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labhil.diagnose.agreement import Contrast, between_parts, between_recordings, scale_factor
+from labhil.diagnose.contrasts import Contrast, between_parts, between_recordings, scale_factor
 from labhil.diagnose.judge import Data
 from labhil.identify.fitted import Fitted, fit_terms, start_theta
 from labhil.identify.table import table_of
