@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from labhil.diagnose.accepted import Accepted, accepted_error
-from labhil.diagnose.contrasts import Contrast, between_parts, between_recordings, scale_factor
 from labhil.diagnose.conclude import Concluded
+from labhil.diagnose.contrasts import Contrast, between_parts, between_recordings, scale_factor
 from labhil.diagnose.discrepancy import moved_by_what_is_left
 from labhil.diagnose.found import Found
 from labhil.ending import EndedEarly, accept
