@@ -78,19 +78,10 @@ def scale_factor(contrasts: Sequence[Contrast]) -> float:
     return max(1.0, float(np.sqrt(mean_square))) if len(tests) * p_value < LEVEL else 1.0
 
 
-def between_recordings(data: Data, fitted: Fitted, table: ParameterTable) -> list[Contrast]:
-    """What searched and held-out data say of the same parameters; nothing where some belong to one of them.
-
-    Args:
-        data: searched and held-out data.
-        fitted: the final model on the searched ones.
-        table: its parameters with their covariance.
-
-    Returns:
-        One contrast at most.
-    """
+def on_held_out(data: Data, fitted: Fitted) -> Fitted | None:
+    """Refit a model to the held-out data; None where some parameters belong to one recording."""
     if any(fitted.problem.model.parameters[place].recording is not None for place in fitted.problem.free):
-        return []
+        return None
     held_out = replace(
         data,
         model=fitted.problem.model,
@@ -99,9 +90,22 @@ def between_recordings(data: Data, fitted: Fitted, table: ParameterTable) -> lis
         window=min(fitted.window, data.test.longest),
         held=fitted.held,
     )
-    again = on_windows(held_out, fitted)
+    return on_windows(held_out, fitted)
+
+
+def between_recordings(fitted: Fitted, again: Fitted, table: ParameterTable) -> Contrast:
+    """What searched and held-out data say of the same parameters.
+
+    Args:
+        fitted: a model that was fitted to the searched data.
+        again: the same on the held-out ones.
+        table: the parameters of the first with their covariance.
+
+    Returns:
+        The contrast of both.
+    """
     free = fitted.problem.free
-    return [Contrast(fitted.theta[free] - again.theta[free], table.covariance + table_of(again).covariance)]
+    return Contrast(fitted.theta[free] - again.theta[free], table.covariance + table_of(again).covariance)
 
 
 def between_parts(fitted: Fitted, table: ParameterTable) -> list[Contrast]:

@@ -6,12 +6,13 @@ import numpy as np
 
 from labhil.diagnose.accepted import Accepted, accepted_error
 from labhil.diagnose.conclude import Concluded
-from labhil.diagnose.contrasts import Contrast, between_parts, between_recordings, scale_factor
+from labhil.diagnose.contrasts import between_parts, between_recordings, on_held_out, scale_factor
 from labhil.diagnose.discrepancy import moved_by_what_is_left
 from labhil.diagnose.found import Found
 from labhil.ending import EndedEarly, accept
+from labhil.identify.fitted import Fitted
 from labhil.identify.statistics import Estimate, stated, with_error, with_wider_error
-from labhil.identify.table import ParameterTable, table_of
+from labhil.identify.table import table_of
 from labhil.physics.model import index_of, terms_named
 
 
@@ -25,33 +26,34 @@ def final_table(end: Concluded, accepted: Accepted | None) -> tuple[list[Estimat
     Returns:
         Rows of all parameters, sizes that were held included, and the factor, at least 1.
     """
-    table = table_of(end.found.final)
-    scale = scale_factor(_contrasts(end, table))
-    if end.curves:
-        curve = end.curves[-1]
-        moved = moved_by_what_is_left(curve.fit, but={each.key for each in curve.model.coefficients})
+    found, curve = end.found, end.curves[-1] if end.curves else None
+    again = _on_held_out(end)
+    accept()  # stating what was found takes no time
+    table = table_of(found.final)
+    if curve is None:
+        contrasts = between_parts(found.final, table)
+        contrasts += [] if again is None else [between_recordings(found.final, again, table)]
+        moved, of_curve = moved_by_what_is_left(found.final), list[Estimate]()
     else:
-        moved = moved_by_what_is_left(end.found.final)
-    of_curve = list(end.curves[-1].rows) if end.curves else []
+        contrasts = between_parts(curve.fit, table_of(curve.fit))
+        moved = moved_by_what_is_left(curve.fit, but={each.key for each in curve.model.coefficients})
+        of_curve = list(curve.rows)
     # what is named may have been held beside a curve
     there = {row.key for row in of_curve}
     fitted = [*of_curve, *(row for row in table.rows if row.key not in there)]
-    rows = [_with_bias(row, end.found, scale, moved.get(row.key, 0.0)) for row in fitted]
-    return _with_held(rows, end.found, accepted), scale
+    scale = scale_factor(contrasts)
+    rows = [_with_bias(row, found, scale, moved.get(row.key, 0.0)) for row in fitted]
+    return _with_held(rows, found, accepted), scale
 
 
-def _contrasts(end: Concluded, table: ParameterTable) -> list[Contrast]:
-    """What parts of the data say of the final model's parameters; of one with a curve the searched alone."""
-    final = end.found.final
-    if end.curves:
-        with_curve = end.curves[-1].fit
-        return between_parts(with_curve, table_of(with_curve))
-    contrasts = between_parts(final, table)
+def _on_held_out(end: Concluded) -> Fitted | None:
+    """The final model refitted to held-out data; None beside a curve, and of a search that was cut short."""
+    if end.curves or not end.found.complete:
+        return None
     try:
-        return contrasts + (between_recordings(end.data, final, table) if end.found.complete else [])
+        return on_held_out(end.data, end.found.final)
     except EndedEarly:
-        accept()
-        return contrasts
+        return None
 
 
 def _with_held(rows: list[Estimate], found: Found, accepted: Accepted | None) -> list[Estimate]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labhil.diagnose.contrasts import Contrast, between_parts, between_recordings, scale_factor
+from labhil.diagnose.contrasts import Contrast, between_parts, between_recordings, on_held_out, scale_factor
 from labhil.diagnose.judge import Data
 from labhil.identify.fitted import Fitted, fit_terms, start_theta
 from labhil.identify.table import table_of
@@ -29,7 +29,9 @@ def searched(model, acquire, terms, values, seed) -> tuple[Data, Fitted]:
 def factor_and_error(data: Data, fitted: Fitted) -> tuple[float, float]:
     """The scale factor, and by how many standard errors the estimate is off."""
     table = table_of(fitted)
-    factor = scale_factor([*between_parts(fitted, table), *between_recordings(data, fitted, table)])
+    again = on_held_out(data, fitted)
+    assert again is not None
+    factor = scale_factor([*between_parts(fitted, table), between_recordings(fitted, again, table)])
     (row,) = [row for row in table.rows if row.key == KEY]
     return factor, abs(row.value - TRUE) / row.std_error
 
