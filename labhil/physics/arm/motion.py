@@ -22,7 +22,6 @@ import numpy as np
 from scipy import signal
 
 from labhil.errors import RecordingError
-from labhil.kinds import JOINTS
 from labhil.physics.model import WHITE, Record
 from labhil.signals import FloatArray
 
@@ -165,9 +164,9 @@ def cut_off_of(record: Record | None) -> float:
 def _cut_off(record: Record) -> float:
     if len(record) < FEWEST:
         return LOWEST_CUT_OFF
-    period = record.period
+    period, joints = record.period, record.outputs.shape[1]
     grid = np.arange(record.t[0], record.t[-1], period)
-    velocities = [np.interp(grid, record.t, c) for c in record.inputs[:, JOINTS : 2 * JOINTS].T]
+    velocities = [np.interp(grid, record.t, c) for c in record.inputs[:, joints : 2 * joints].T]
     power = np.sum([np.abs(np.fft.rfft(v * np.hanning(len(v)))) ** 2 for v in velocities], axis=0)
     frequency = np.fft.rfftfreq(len(grid), period)
     share = np.cumsum(power) / max(float(np.sum(power)), 1e-300)
@@ -177,14 +176,15 @@ def _cut_off(record: Record) -> float:
 
 def as_it_is(record: Record) -> Motion:
     """The motion of a record that was not prepared: nothing filtered, accelerations by differences."""
-    q, qd = record.inputs[:, :JOINTS], record.inputs[:, JOINTS : 2 * JOINTS]
+    joints = record.outputs.shape[1]
+    q, qd = record.inputs[:, :joints], record.inputs[:, joints : 2 * joints]
     qdd = np.gradient(qd, record.t, axis=0)
     return Motion(record.t, q, qd, qdd, _warmth(record), np.ones(q.shape, dtype=bool), None)
 
 
 def prepared(record: Record, cut_off: float) -> PreparedRecord:
     """Filter a recording and keep what can be judged; RecordingError when nothing moves for long enough."""
-    period = record.period
+    period, joints = record.period, record.outputs.shape[1]
     grid = record.t[0] + period * np.arange(int((record.t[-1] - record.t[0]) / period + 1e-6) + 1)
     low_pass = LowPass(min(cut_off, 0.45 / period), period)
     if len(grid) < FEWEST:
@@ -192,7 +192,7 @@ def prepared(record: Record, cut_off: float) -> PreparedRecord:
     inputs, outputs = _on(grid, record.t, record.inputs), _on(grid, record.t, record.outputs)
     auxiliary = {name: np.interp(grid, record.t, x) for name, x in record.auxiliary.items()}
     even = replace(record, t=grid, inputs=inputs, outputs=outputs, auxiliary=auxiliary)
-    q, qd = low_pass(inputs[:, :JOINTS]), low_pass(inputs[:, JOINTS : 2 * JOINTS])
+    q, qd = low_pass(inputs[:, :joints]), low_pass(inputs[:, joints : 2 * joints])
     qdd = np.gradient(qd, period, axis=0)
     moving = _eroded(np.abs(qd) > REST, low_pass.reach)
     motion = Motion(grid, q, qd, qdd, low_pass(_warmth(even)), moving, low_pass)
@@ -202,7 +202,7 @@ def prepared(record: Record, cut_off: float) -> PreparedRecord:
             f"too little motion for inverse dynamics: {len(rows)} samples are left where a joint moves "
             f"faster than {REST:g} rad/s, at least {FEWEST} are needed"
         )
-    inputs[:, :JOINTS], inputs[:, JOINTS : 2 * JOINTS] = q, qd
+    inputs[:, :joints], inputs[:, joints : 2 * joints] = q, qd
     return PreparedRecord(
         t=grid[rows],
         inputs=inputs[rows],
@@ -246,7 +246,7 @@ def _on(grid: FloatArray, t: FloatArray, columns: FloatArray) -> FloatArray:
 
 def temperatures(record: Record) -> FloatArray | None:
     """Joint temperatures (n, 6) °C of a record; None where it has none."""
-    names = [f"joint_temperatures_{j}" for j in range(JOINTS)]
+    names = [f"joint_temperatures_{j}" for j in range(record.outputs.shape[1])]
     if not all(name in record.auxiliary for name in names):
         return None
     return np.column_stack([record.auxiliary[name] for name in names])
@@ -254,4 +254,4 @@ def temperatures(record: Record) -> FloatArray | None:
 
 def _warmth(record: Record) -> FloatArray:
     found = temperatures(record)
-    return np.zeros((len(record), JOINTS)) if found is None else found
+    return np.zeros(record.outputs.shape) if found is None else found

@@ -8,12 +8,19 @@ of inertia and Coriolis terms come out of the recursion.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from labhil.compiled import inlined
 from labhil.kinds import JOINTS
-from labhil.physics.arm.links import PER_LINK, Links
 from labhil.signals import FloatArray
+
+if TYPE_CHECKING:
+    from labhil.physics.arm.links import Links
+
+PER_LINK = 10
+"""Inertial parameters of a link: m, m·c (x y z), inertia about the frame's origin (xx yy zz xy xz yz)."""
 
 GRAVITY = 9.81
 """m/s²."""
@@ -62,7 +69,7 @@ def columns_of_links(
             step[i, 1] = d[i] * np.sin(alpha[i])
             step[i, 2] = d[i] * np.cos(alpha[i])
             _next(rotation[i], step[i], qd[n, i], qdd[n, i], w, dw, acc)
-            _newton_euler(w, dw, acc, wrench)
+            newton_euler(w, dw, acc, wrench)
             for j in range(i, -1, -1):
                 _carry(rotation[j], step[j], wrench)
                 for c in range(10):
@@ -98,7 +105,7 @@ def _next(
 
 
 @inlined
-def _newton_euler(w: FloatArray, dw: FloatArray, acc: FloatArray, wrench: FloatArray) -> None:
+def newton_euler(w: FloatArray, dw: FloatArray, acc: FloatArray, wrench: FloatArray) -> None:
     """Force (rows 0–2) and moment about the frame's origin (rows 3–5) by each of the ten parameters."""
     wx, wy, wz = w[0], w[1], w[2]
     bx, by, bz = dw[0], dw[1], dw[2]

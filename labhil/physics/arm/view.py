@@ -10,9 +10,8 @@ import numpy as np
 
 from labhil.kinds import JOINTS
 from labhil.physics.arm.joint_laws import LAWS, JointMotion, Law, directions
-from labhil.physics.arm.links import Links
+from labhil.physics.arm.chain import Chain
 from labhil.physics.arm.motion import Motion
-from labhil.physics.arm.rigid_body import regressor
 from labhil.physics.extra_force import ExtraForce, Over, along_positive
 from labhil.signals import FloatArray
 
@@ -72,7 +71,7 @@ class View:
     ``reference`` (6,) °C are the temperatures at which viscous friction is stated.
     """
 
-    def __init__(self, links: Links, motion: Motion, rows: np.ndarray, reference: FloatArray) -> None:
+    def __init__(self, links: Chain, motion: Motion, rows: np.ndarray, reference: FloatArray) -> None:
         self.links = links
         self.motion = motion
         self.rows = rows
@@ -97,7 +96,7 @@ class View:
 
         def made() -> FloatArray:
             m = self.motion
-            return regressor(self.links, *self._at((m.q, m.qd, m.qdd), delay), gravity)
+            return self.links.regressor(*self._at((m.q, m.qd, m.qdd), delay), gravity)
 
         return self._regressors.of((gravity.tobytes(), delay), made)
 
@@ -172,7 +171,7 @@ class View:
             slower = np.gradient(behind, m.t, axis=0)
             slope = np.gradient(slower, m.t, axis=0)
             links = self._at((m.q - behind, m.qd - slower, m.qdd - slope), delay)
-            return regressor(self.links, *links, gravity)
+            return self.links.regressor(*links, gravity)
 
         return self._bent.of((compliance.tobytes(), inertial.tobytes(), gravity.tobytes(), delay), made)
 
@@ -184,7 +183,7 @@ class View:
             out = np.empty_like(m.q)
             for first in range(0, len(out), CHUNK):
                 part = slice(first, first + CHUNK)
-                out[part] = regressor(self.links, m.q[part], m.qd[part], m.qdd[part], gravity) @ inertial
+                out[part] = self.links.regressor(m.q[part], m.qd[part], m.qdd[part], gravity) @ inertial
             return out
 
         return self._loads.of((inertial.tobytes(), gravity.tobytes()), made)
