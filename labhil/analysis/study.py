@@ -21,6 +21,7 @@ from labhil.identify.windows import FEWEST_IN_WINDOW
 from labhil.physics.model import Model, index_of, terms_named
 from labhil.physics.rigs import rig_model
 from labhil.physics.several import for_every_recording
+from labhil.simulators.arm import ArmFileModel
 from labhil.simulators.model import SimulatorModel
 
 Progress = Callable[[str], None]
@@ -164,7 +165,7 @@ def _reference_values(material: Material, reference: Reference | None) -> Mappin
     if reference is not None:
         return for_every_recording(material.model, values_of(reference))
     known = index_of(material.model.parameters)
-    own = material.model.nominal if isinstance(material.model, SimulatorModel) else {}
+    own = material.model.nominal if isinstance(material.model, (ArmFileModel, SimulatorModel)) else {}
     own = {name: value for name, value in own.items() if name in known}
     nominal = for_every_recording(material.model, material.rig.nominal or own)
     for name, value in nominal.items():

@@ -7,7 +7,7 @@ wrong by one per cent changes that friction, a few per cent of the torque itself
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from labhil.physics.arm.grouped import Grouped, NormalEquations, grouped, memory, significant
 from labhil.physics.arm.chain import Chain
 from labhil.physics.arm.motion import PreparedRecord
-from labhil.physics.arm.rigid_body import upright
+from labhil.physics.arm.rigid_body import PER_LINK, upright
 from labhil.physics.arm.view import View
 from labhil.signals import FloatArray
 
@@ -43,6 +43,11 @@ class FirstEstimate:
     def inertial(self, values: FloatArray) -> FloatArray:
         """All inertial parameters with these values (P,) of the grouped ones."""
         return self.begin + self.grouped.embedded(values - self.begun)
+
+    def without(self, unwanted: Callable[[int, int], bool]) -> FirstEstimate:
+        """The same without parameters of which ``unwanted`` (link, kind from 0 to 9) holds."""
+        left = [i for i, c in enumerate(self.grouped.kept) if not unwanted(c // PER_LINK, c % PER_LINK)]
+        return FirstEstimate(self.grouped.only(left), self.values[left], self.errors[left], self.begin)
 
 
 def first_estimate(

@@ -37,6 +37,11 @@ class Tree:
         """Number of joints."""
         return len(self.carrier)
 
+    @property
+    def on_base(self) -> list[int]:
+        """Joints that the base carries."""
+        return [j for j, carrier in enumerate(self.carrier) if carrier < 0]
+
     def loaded(self, link: int) -> Sequence[int]:
         """Joints between a link and the base."""
         found = []
@@ -102,7 +107,12 @@ def turned(turn: FloatArray, axis: FloatArray, q: float, out: FloatArray) -> Non
 
 @inlined
 def carried(
-    carrier: int, moving: FloatArray, gravity: FloatArray, rotation: FloatArray, p: FloatArray, out: FloatArray
+    carrier: int,
+    moving: FloatArray,
+    gravity: FloatArray,
+    rotation: FloatArray,
+    p: FloatArray,
+    out: FloatArray,
 ) -> None:
     """Rows of ``out``: angular velocity, angular acceleration, acceleration of the origin; of the carrier."""
     wx, wy, wz, bx, by, bz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
