@@ -12,6 +12,7 @@ from labhil.analysis.material import Material
 from labhil.analysis.results import Reference, accepted_of, diagnosis_json, fit_json, terms_of, values_of
 from labhil.analysis.schema import DiagnosisPart, FitPart, checked
 from labhil.analysis.still import refuse_still
+from labhil.cores import linear_algebra_in_one_thread
 from labhil.diagnose.answer import Diagnosis
 from labhil.diagnose.diagnosis import diagnose
 from labhil.errors import OptionError, UnknownNameError, UsageError
@@ -55,6 +56,7 @@ class DiagnosisResult:
         return checked(DiagnosisPart, self.json, "the diagnosis")
 
 
+@linear_algebra_in_one_thread()
 def fit_study(
     material: Material,
     *,
@@ -117,6 +119,7 @@ def _with_own(model: Model, terms: Sequence[str], *, stated: bool) -> tuple[str,
     return (*terms, *further)
 
 
+@linear_algebra_in_one_thread()
 def diagnose_study(
     material: Material,
     *,

@@ -133,11 +133,11 @@ def arm_simulator(
     made = ArmSimulator(arm, called, identifier(output), measures)
     declare_kind(made.kind)
 
-    def model(rig: RigFile, record: Record | None) -> ArmFileModel:
+    def of_rig(rig: RigFile, record: Record | None) -> ArmFileModel:
         return ArmFileModel(made, rig, record)
 
     begins = made.begins
-    declare_model(made.name, RigModel(model, begins, tuple(dict.fromkeys((*begins, *GEARED)))))
+    declare_model(made.name, RigModel(of_rig, begins, tuple(dict.fromkeys((*begins, *GEARED)))))
     return made
 
 

@@ -35,10 +35,10 @@ def mujoco_simulator(
     each joint), and the torques or currents of its drives are the output, by inverse dynamics. Masses, mass
     centres and inertias that a recording can tell from the file's are estimated.
 
-    A file with one hinge or slide joint is simulated. Its spring, armature, masses and the gains of its actuator are
-    parameters where they are not 0, and start at what the file says. Those that a recording cannot tell from
-    others stay at that. Its damping and dry friction are the effects viscous_friction and coulomb_friction,
-    with which a diagnosis begins.
+    A file with one hinge or slide joint is simulated. Its spring, armature, masses and the gains of its
+    actuator are parameters where they are not 0, and start at what the file says. Those that a recording
+    cannot tell from others stay at that. Its damping and dry friction are the effects viscous_friction and
+    coulomb_friction, with which a diagnosis begins.
 
     Args:
         path: The file: MJCF, or URDF as far as MuJoCo loads it.

@@ -36,3 +36,9 @@ class Chain(Protocol):
     def regressor(self, q: FloatArray, qd: FloatArray, qdd: FloatArray, gravity: FloatArray) -> FloatArray:
         """Torque per inertial parameter (m, n, 10 n) of a motion (m, n); ``gravity`` (3,) in the base."""
         ...
+
+    def torques(
+        self, q: FloatArray, qd: FloatArray, qdd: FloatArray, gravity: FloatArray, inertial: FloatArray
+    ) -> FloatArray:
+        """Torques (m, n) of a motion at these inertial parameters (10 n,): much faster than the regressor."""
+        ...

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labhil.physics.arm.grouped import Grouped, NormalEquations, grouped, memory, significant
 from labhil.physics.arm.chain import Chain
+from labhil.physics.arm.grouped import Grouped, NormalEquations, grouped, memory, significant
 from labhil.physics.arm.motion import PreparedRecord
 from labhil.physics.arm.rigid_body import PER_LINK, upright
 from labhil.physics.arm.view import View

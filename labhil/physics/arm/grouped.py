@@ -1,10 +1,10 @@
 """Rigid-body parameters that motion can tell where no masses are known: grouped inertial parameters.
 
-Of an arm's inertial (60 of six joints) parameters some have no effect and some act only together (Gautier 1990). A
-pivoted QR decomposition of the regressor of random motions finds a smallest set of columns that span all others;
-each kept parameter then stands for itself plus a fixed combination of those left out. Those that a given
-record cannot tell from zero are left out as well, the least significant first, as long as any is: they
-would carry noise to other motions.
+Of an arm's inertial parameters (60 of six joints) some have no effect and some act only together (Gautier
+1990). A pivoted QR decomposition of the regressor of random motions finds a smallest set of columns that
+span all others; each kept parameter then stands for itself plus a fixed combination of those left out.
+Those that a given record cannot tell from zero are left out as well, the least significant first, as long
+as any is: they would carry noise to other motions.
 """
 
 from __future__ import annotations

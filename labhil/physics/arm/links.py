@@ -20,7 +20,7 @@ from labhil.complaints import explain
 from labhil.documents import DocumentError, parse_toml, read_document
 from labhil.errors import RigFileError
 from labhil.kinds import JOINTS
-from labhil.physics.arm.rigid_body import PER_LINK, regressor
+from labhil.physics.arm.rigid_body import PER_LINK, regressor, torques
 from labhil.signals import FloatArray
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -97,6 +97,12 @@ class Links:
     def regressor(self, q: FloatArray, qd: FloatArray, qdd: FloatArray, gravity: FloatArray) -> FloatArray:
         """See ``physics.arm.rigid_body.regressor``."""
         return regressor(self, q, qd, qdd, gravity)
+
+    def torques(
+        self, q: FloatArray, qd: FloatArray, qdd: FloatArray, gravity: FloatArray, inertial: FloatArray
+    ) -> FloatArray:
+        """See ``physics.arm.rigid_body.torques``."""
+        return torques(self, q, qd, qdd, gravity, inertial)
 
     @classmethod
     def of(cls, rows: tuple[JointRow, ...]) -> Links:

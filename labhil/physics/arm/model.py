@@ -349,7 +349,14 @@ class ArmModel:
         key = (
             inertial.tobytes(), self._gravity(theta).tobytes(), compliance.tobytes(), self._delay(theta)
         )  # fmt: skip
-        return self._view(record).torques.of(key, lambda: self._rigid_regressor(theta, record) @ inertial)
+        return self._view(record).torques.of(key, lambda: self._rigid_torques(theta, record, inertial))
+
+    def _rigid_torques(self, theta: FloatArray, record: Record, inertial: FloatArray) -> FloatArray:
+        view, gravity, delay = self._view(record), self._gravity(theta), self._delay(theta)
+        compliance = self._of_joints(theta, COMPLIANCE)
+        if not np.any(compliance):
+            return view.straight_torques(gravity, delay, inertial)
+        return view.bent_torques(compliance, self._load_inertial(theta), gravity, delay, inertial)
 
     def _torques(self, theta: FloatArray, record: Record) -> FloatArray:
         """Torques of the drives (n, 6), N·m."""

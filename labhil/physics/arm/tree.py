@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from labhil.compiled import inlined
-from labhil.physics.arm.rigid_body import PER_LINK, newton_euler
+from labhil.physics.arm.rigid_body import PER_LINK, newton_euler, weighted
 from labhil.signals import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tree:
-    """``carrier`` (n,); ``turn`` (n, 3, 3); ``offset`` m and ``axis`` (n, 3); inertial parameters (10 n,), SI.
+    """``carrier`` (n,); ``turn`` (n, 3, 3); ``offset`` m and ``axis`` (n, 3); inertial parameters (10 n,).
 
     ``begin`` are what a file says of the inertial parameters; ``inertial`` the same where they are taken for
     known, else None (satisfies ``physics.arm.chain.Chain``).
@@ -57,6 +57,50 @@ class Tree:
         q, qd, qdd = np.ascontiguousarray(q), np.ascontiguousarray(qd), np.ascontiguousarray(qdd)
         columns_of_tree(self.carrier, self.turn, self.offset, self.axis, q, qd, qdd, gravity, out)
         return out
+
+    def torques(
+        self, q: FloatArray, qd: FloatArray, qdd: FloatArray, gravity: FloatArray, inertial: FloatArray
+    ) -> FloatArray:
+        """Torques (m, n) of a motion at these inertial parameters (10 n,)."""
+        out = np.zeros((len(q), self.joints))
+        q, qd, qdd = np.ascontiguousarray(q), np.ascontiguousarray(qd), np.ascontiguousarray(qdd)
+        pi = np.ascontiguousarray(inertial)
+        torques_of_tree(self.carrier, self.turn, self.offset, self.axis, q, qd, qdd, gravity, pi, out)
+        return out
+
+
+@inlined
+def torques_of_tree(
+    carrier: IntArray,
+    turn: FloatArray,
+    offset: FloatArray,
+    axis: FloatArray,
+    q: FloatArray,
+    qd: FloatArray,
+    qdd: FloatArray,
+    gravity: FloatArray,
+    inertial: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Fill ``out`` (m, n); carriers come before what they carry."""
+    joints = carrier.size
+    rotation, moving = np.empty((joints, 3, 3)), np.empty((joints, 3, 3))
+    wrench, own, handed = np.empty((6, PER_LINK)), np.empty((joints, 6)), np.empty((6, 1))
+    for m in range(q.shape[0]):
+        for i in range(joints):
+            turned(turn[i], axis[i], q[m, i], rotation[i])
+            carried(carrier[i], moving, gravity, rotation[i], offset[i], moving[i])
+            hinged(axis[i], qd[m, i], qdd[m, i], moving[i])
+            newton_euler(moving[i, 0], moving[i, 1], moving[i, 2], wrench)
+            weighted(wrench, inertial, i, own[i])
+        for i in range(joints - 1, -1, -1):
+            out[m, i] = axis[i, 0] * own[i, 3] + axis[i, 1] * own[i, 4] + axis[i, 2] * own[i, 5]
+            if carrier[i] >= 0:
+                for k in range(6):
+                    handed[k, 0] = own[i, k]
+                handed_down(rotation[i], offset[i], handed)
+                for k in range(6):
+                    own[carrier[i], k] += handed[k, 0]
 
 
 @inlined
@@ -147,7 +191,7 @@ def hinged(axis: FloatArray, qd: float, qdd: float, of: FloatArray) -> None:
 @inlined
 def handed_down(r: FloatArray, p: FloatArray, wrench: FloatArray) -> None:
     """Turn forces and moments about a link's origin into those about its carrier's."""
-    for c in range(PER_LINK):
+    for c in range(wrench.shape[1]):
         f, g, h = wrench[0, c], wrench[1, c], wrench[2, c]
         x, y, z = wrench[3, c], wrench[4, c], wrench[5, c]
         for k in range(3):
