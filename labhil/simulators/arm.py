@@ -14,12 +14,12 @@ from labhil.physics.arm import ArmModel
 from labhil.physics.arm.chain import Chain
 from labhil.physics.arm.first_estimate import FirstEstimate
 from labhil.physics.arm.motion import PreparedRecord
-from labhil.physics.arm.rigid_body import upright
+from labhil.physics.arm.rigid_body import PER_LINK, upright
 from labhil.physics.model import Record
 from labhil.physics.rigs import RigModel, declare_model
 from labhil.physics.terms import Term, keyed
 from labhil.rig import RigFile, parse_rig
-from labhil.signals import Signal
+from labhil.signals import FloatArray, Signal
 from labhil.simulators.arm_file import ArmFile, read_arm
 from labhil.simulators.mjcf_file import load_model, names_of
 from labhil.simulators.names import identifier
@@ -205,6 +205,16 @@ class ArmFileModel(ArmModel):
             return {}
         names = (keyed(name, link) for name, _, link in self.first.grouped.names())
         return dict(zip(names, self.first.begun.tolist(), strict=True))
+
+    def constants_at(self, theta: FloatArray) -> list[float]:
+        """Torque constants (n,), N·m/A, without an error that was found in them."""
+        found = self._constant if self.fixed else self._of_joints(theta, "torque_constant")
+        return [float(each) for each in found]
+
+    def inertial_at(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What the links act like, (10 n,), and what of that is a payload on the last, (10,)."""
+        payload = self._payload(theta)
+        return self._inertial(theta) - payload, payload[-PER_LINK:]
 
     def _notes(self, record: Record | None) -> tuple[str, ...]:
         if record is None:

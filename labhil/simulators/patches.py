@@ -113,7 +113,7 @@ def _set_own(described: Described, text: XmlText, value: Value, new: float) -> N
         case Field.MASS:
             _set_mass(described, text, value.of, new / old, why)
         case Field.GEAR:
-            _set_part(text, _actuator(described, text), "gear", 0, new, described.gear, why)
+            set_part(text, _actuator(described, text), "gear", 0, new, described.gear, why)
         case Field.KP | Field.KV:
             _set_gain(text, _actuator(described, text), value.field.value, new, why)
         case _:
@@ -137,10 +137,10 @@ def _set_of_joint(described: Described, text: XmlText, field: Field, new: float,
     attribute, place = poly[field]
     now = text.current(joint, attribute)
     has = [read_value(model, f, 0) for f in poly] if now is None else [float(x) for x in now.split()]
-    _set_part(text, joint, attribute, place, new, has, why)
+    set_part(text, joint, attribute, place, new, has, why)
 
 
-def _set_part(
+def set_part(
     text: XmlText, element: Element, attribute: str, place: int, new: float, has: list[float], why: str
 ) -> None:
     """One of several numbers of an attribute; zeros at the end are left out."""
