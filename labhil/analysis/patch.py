@@ -13,6 +13,9 @@ from labhil.whole import whole
 KEPT = 1.05
 """Times the diagnosed model's error that the repaired file may make on the same held-out data."""
 
+OTHERS = 1.25
+"""Times the promised error beyond which file and data are not those that the diagnosis was made of."""
+
 
 @dataclass(frozen=True, slots=True)
 class Attempt:

@@ -19,7 +19,7 @@ DIAGNOSIS, FIT = "labhil.diagnosis/1", "labhil.fit/1"
 class Found:
     """Values by key, the error that is promised on held-out data, the recordings.
 
-    ``horizon`` (s) is None for inverse dynamics.
+    ``horizon`` (s) is None for inverse dynamics. ``channels`` are the promised errors of each channel.
     """
 
     values: Mapping[str, float]
@@ -27,6 +27,7 @@ class Found:
     horizon: float | None
     search: tuple[Path, ...]
     test: tuple[Path, ...]
+    channels: tuple[float, ...] = ()
 
 
 def read_found(path: Path) -> Found:
@@ -59,10 +60,10 @@ def read_found(path: Path) -> Found:
 def _found(data: Mapping[str, Any], path: Path) -> Found:
     if data["schema"] == DIAGNOSIS:
         rows, scored = data["final"]["parameters"], data["improvement"]
-        promised = scored["rmse_after"]
+        promised, name = scored["rmse_after"], "rmse_after"
     else:
         rows, scored = data["parameters"], data["test"]
-        promised = scored["rmse"]
+        promised, name = scored["rmse"], "rmse"
     tests = [row for row in data["recordings"] if row["role"] == "test"]
     others = [row for row in data["recordings"] if row["role"] != "test"]
     return Found(
@@ -71,6 +72,7 @@ def _found(data: Mapping[str, Any], path: Path) -> Found:
         None if scored["horizon"] is None else float(scored["horizon"]),
         _recordings(path, others),
         _recordings(path, tests),
+        tuple(float(row[name]) for row in scored["per_channel"]),
     )
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from labhil.analysis.arm_patching import patch_arm
 from labhil.analysis.material import Material, load_material
-from labhil.analysis.patch import KEPT, Attempt, Patch, difference, write
+from labhil.analysis.patch import KEPT, OTHERS, Attempt, Patch, difference, write
 from labhil.analysis.patch_source import Found, read_found
 from labhil.errors import UsageError
 from labhil.identify.score import Score, score
@@ -25,9 +25,6 @@ from labhil.simulators.mjcf_file import Described, load_model
 from labhil.simulators.patches import Patched, patched, shorten_step, stiffen_friction
 from labhil.simulators.rolled_out import RolledOutModel
 from labhil.simulators.xml_text import XmlText
-
-OTHERS = 1.25
-"""Times the promised error beyond which file and data are not those that the diagnosis was made of."""
 
 FINER = (2, 4, 8)
 """Parts of the file's time step that are tried where its own is too long."""

@@ -12,7 +12,7 @@ from labhil.errors import UsageError
 from labhil.kinds import INPUT, OUTPUT, STATUS, Known, RigKind, declare_kind
 from labhil.physics.arm import ArmModel
 from labhil.physics.arm.chain import Chain
-from labhil.physics.arm.first_estimate import FirstEstimate
+from labhil.physics.arm.first_estimate import LAWS
 from labhil.physics.arm.motion import PreparedRecord
 from labhil.physics.arm.rigid_body import PER_LINK, upright
 from labhil.physics.model import Record
@@ -34,9 +34,6 @@ HELD = ("viscous_friction", "coulomb_friction", "added_inertia")
 OFFSET = "sensor_offset"
 GEARED = ("load_dependent_friction", "cubic_viscous_friction")
 """What is usual in geared joints beside that; linear, so that a fit of all takes seconds."""
-
-FIRST_MOMENT_OF_INERTIA = 4
-"""Place of the first moment of inertia among the ten inertial parameters of a link."""
 
 WRONG_WAY = -10.0
 """Standard errors from 0 at which a joint's torque is taken to have the other sign."""
@@ -157,8 +154,11 @@ def _measured(path: Path, outputs: Mapping[str, str] | None) -> tuple[str, str]:
 class ArmFileModel(ArmModel):
     """Inverse dynamics of a user's MuJoCo file.
 
-    The inertial parameters that a recording can tell from the file's are estimated, the others stay.
+    The inertial parameters that a recording can tell from the file's are estimated, the others stay, as do
+    those that act just as an armature.
     """
+
+    first_laws = (*LAWS, "added_inertia.inertia")
 
     def __init__(self, simulator: ArmSimulator, rig: RigFile, record: Record | None = None) -> None:
         self.simulator, self.kind = simulator, simulator.name
@@ -174,14 +174,6 @@ class ArmFileModel(ArmModel):
         """Without torque constants the file's masses are what torques are measured by."""
         tree = self.simulator.arm.tree
         return replace(tree, inertial=tree.begin)
-
-    def _first(self, record: Record | None) -> FirstEstimate | None:
-        """Without the inertia of links that the base carries: nothing tells it from the joint's armature."""
-        found = super()._first(record)
-        return None if found is None else found.without(self._like_armature)
-
-    def _like_armature(self, link: int, kind: int) -> bool:
-        return link in self.simulator.arm.tree.on_base and kind >= FIRST_MOMENT_OF_INERTIA
 
     def _absent(self, everything: Mapping[str, Term], warm: bool) -> dict[str, str]:
         unknown = {

@@ -14,7 +14,7 @@ from labhil.physics.terms import keyed
 from labhil.signals import FloatArray
 from labhil.simulators.arm_file import ArmFile, matrix_of
 from labhil.simulators.inertia import at_centre, realised
-from labhil.simulators.patches import number, set_part
+from labhil.simulators.patches import number, set_part, stiffen_element
 from labhil.simulators.xml_text import Element, XmlText
 
 JOINT_VALUES = {
@@ -26,6 +26,7 @@ JOINT_VALUES = {
 }
 """Effects that a file may hold of a joint, and what they are there."""
 
+ROTOR = "added_inertia.inertia"
 ORIENTED = ("quat", "euler", "axisangle", "xyaxes", "zaxis", "diaginertia")
 
 
@@ -42,6 +43,10 @@ class ArmWriter(Protocol):
         """Put ten inertial parameters, about the origin of the body's frame, into the joint's body."""
         ...
 
+    def stiffen(self, joint: int) -> None:
+        """Let dry friction of a joint hold as firmly as the time step allows, where the format can say so."""
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class PatchedArm:
@@ -52,7 +57,13 @@ class PatchedArm:
 
 
 def patched_arm(
-    arm: ArmFile, text: XmlText, values: Mapping[str, float], inertial: FloatArray, payload: FloatArray
+    arm: ArmFile,
+    text: XmlText,
+    values: Mapping[str, float],
+    inertial: FloatArray,
+    payload: FloatArray,
+    *,
+    firm: bool = False,
 ) -> PatchedArm:
     """Put values into the text of an arm's file.
 
@@ -62,6 +73,7 @@ def patched_arm(
         values: Values of effects by key (``coulomb_friction.level[1]``).
         inertial: What the links are to act like, (10 n,), the payload excepted.
         payload: Ten inertial parameters that join the last link, in its joint's frame.
+        firm: Whether dry friction is to hold as firmly as the time step allows.
 
     Returns:
         The text with its changes, and what it cannot hold.
@@ -70,7 +82,11 @@ def patched_arm(
         UsageError: The file does not itself have what is to be changed.
     """
     writer: ArmWriter = UrdfWriter(arm, text) if text.elements[0].tag == "robot" else MjcfWriter(arm, text)
-    left = dict(values)
+    own = np.concatenate([_own(arm, joint) for joint in range(arm.tree.joints)])
+    rotors = np.array([values.get(keyed(ROTOR, joint), 0.0) for joint in range(arm.tree.joints)])
+    bodies = realised(arm.tree, own, inertial, arm.tree.begin - own, rotors)
+    rotors_left = {keyed(ROTOR, joint): float(j) for joint, j in enumerate(bodies.armature) if j}
+    left = {key: value for key, value in values.items() if not key.startswith(ROTOR)} | rotors_left
     for joint in range(arm.tree.joints):
         for name in JOINT_VALUES:
             key = keyed(name, joint)
@@ -79,15 +95,18 @@ def patched_arm(
                 del left[key]
             elif key not in left and now:
                 writer.set_joint(joint, name, 0.0)
-    _set_bodies(arm, writer, inertial, payload)
+        if firm:
+            writer.stiffen(joint)
+    _set_bodies(arm, writer, own, bodies.inertial, payload)
     return PatchedArm(text, {key: value for key, value in left.items() if value})
 
 
-def _set_bodies(arm: ArmFile, writer: ArmWriter, inertial: FloatArray, payload: FloatArray) -> None:
+def _set_bodies(
+    arm: ArmFile, writer: ArmWriter, own: FloatArray, found: FloatArray, payload: FloatArray
+) -> None:
     """Change the bodies with the joints; what is fixed to them stays."""
-    own = np.concatenate([_own(arm, joint) for joint in range(arm.tree.joints)])
-    found = realised(arm.tree, own, inertial, arm.tree.begin - own).reshape(-1, PER_LINK)
-    for joint, (before, after) in enumerate(zip(own.reshape(-1, PER_LINK), found, strict=True)):
+    both = zip(own.reshape(-1, PER_LINK), found.reshape(-1, PER_LINK), strict=True)
+    for joint, (before, after) in enumerate(both):
         whys = [] if np.array_equal(before, after) else ["what the joints carry"]
         if joint == arm.tree.joints - 1 and payload[0]:
             whys.append(f"a payload of {number(payload[0])} kg")
@@ -162,7 +181,7 @@ class MjcfWriter:
             "mass": number(m),
             "pos": " ".join(number(x) for x in centre),
             "fullinertia": " ".join(
-                number(x) for x in (i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2])
+                f"{x:.9g}" for x in (i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2])
             ),
         }
         inertial = self.text.children(body, "inertial")
@@ -174,6 +193,11 @@ class MjcfWriter:
             self.text.drop(inertial[0], name, why)
         for name, value in values.items():
             self.text.set(inertial[0], name, value, why)
+
+    def stiffen(self, joint: int) -> None:
+        """As for one joint, see ``simulators.patches.stiffen_friction``."""
+        element = self._element("joint", self._arm.joints[joint], joint)
+        stiffen_element(self.text, element, float(self._arm.model.opt.timestep))
 
     def _element(self, tag: str, name: str, place: int) -> Element:
         found = self.text.inside(tag, "worldbody")
@@ -214,7 +238,7 @@ class UrdfWriter:
         link = self._named("link", self._arm.bodies[joint])
         place = " ".join(number(x) for x in centre)
         names = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
-        moments = {name: number(float(i[at])) for name, at in names.items()}
+        moments = {name: f"{float(i[at]):.9g}" for name, at in names.items()}
         inertial = self.text.children(link, "inertial")
         if not inertial:
             stated = " ".join(f'{name}="{value}"' for name, value in moments.items())
@@ -233,6 +257,9 @@ class UrdfWriter:
         self.text.set(parts["mass"], "value", number(m), why)
         for name, value in moments.items():
             self.text.set(parts["inertia"], name, value, why)
+
+    def stiffen(self, joint: int) -> None:
+        """URDF does not say how friction is solved."""
 
     def _named(self, tag: str, name: str) -> Element:
         found = [e for e in self.text.elements if e.tag == tag and len(e.above) == 1]

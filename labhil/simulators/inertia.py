@@ -7,6 +7,8 @@ positive, where h is mass times centre and Σ = ½ tr(I)·1 − I (Wensing, Kim 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.optimize import least_squares
 
@@ -24,7 +26,12 @@ LIGHTEST = 0.05
 EXACT = 1e-4
 """Share of the typical torque by which the joints' loads may be missed where bodies need it."""
 
-THIN = 1e-9
+ALIKE = 1e-6
+"""Share of a rotor's torque that links must not miss to act just as it."""
+
+THIN = 0.1
+"""mm² of a body's second moment over its mass at least: rounding must not take it away."""
+
 MOTIONS = 100
 
 
@@ -39,6 +46,11 @@ def pseudo_inertia(pi: FloatArray) -> FloatArray:
     return out
 
 
+def _in_millimetres(j: FloatArray) -> FloatArray:
+    scale = np.array([1e3, 1e3, 1e3, 1.0])
+    return np.asarray(j * np.outer(scale, scale))
+
+
 def parameters_of(j: FloatArray) -> FloatArray:
     """Ten inertial parameters of a pseudo-inertia (4, 4)."""
     sigma = j[:3, :3]
@@ -48,36 +60,50 @@ def parameters_of(j: FloatArray) -> FloatArray:
 
 def is_body(pi: FloatArray) -> bool:
     """Whether a body may have these inertial parameters."""
-    values = np.linalg.eigvalsh(pseudo_inertia(pi))
-    return bool(values[0] > -THIN * max(values[-1], THIN))
+    values = np.linalg.eigvalsh(_in_millimetres(pseudo_inertia(pi)))
+    return bool(pi[0] > 0.0 and values[0] > THIN * pi[0])
 
 
-def realised(chain: Chain, begin: FloatArray, wanted: FloatArray, rest: FloatArray) -> FloatArray:
-    """Inertial parameters of bodies that load the joints as wanted ones do.
+@dataclass(frozen=True, slots=True)
+class Realised:
+    """Inertial parameters (10 n,) of bodies, and armature (n,) kg·m² that goes with them."""
+
+    inertial: FloatArray
+    armature: FloatArray
+
+
+def realised(
+    chain: Chain, begin: FloatArray, wanted: FloatArray, rest: FloatArray, armature: FloatArray
+) -> Realised:
+    """Bodies and rotors that load the joints as wanted ones do.
+
+    Some inertia acts just as a rotor's (of a joint that the base carries, about its axis). How much of both
+    there is nobody can tell, so that either may take from the other what brings the bodies near ``begin``.
 
     Args:
         chain: The arm.
         begin: What its bodies have, (10 n,).
         wanted: What they are to act like, with ``rest``, (10 n,).
         rest: What else moves with each link and stays as it is, (10 n,).
+        armature: That of the joints beside what is wanted, kg·m², (n,).
 
     Returns:
-        The nearest parameters to ``begin`` (10 n,); those of a link that need no change are unchanged.
+        The nearest bodies to ``begin``; those of a link that need no change are unchanged.
     """
-    own = grouped(chain)
-    size = _sizes(begin)
-    change = wanted - rest - begin
-    load = own.shares @ change
+    own, like_rotor = grouped(chain), _like_rotors(chain)
+    size, load = _sizes(begin), own.shares @ (wanted - rest - begin)
     if np.all(np.abs(load) <= 1e-12 * np.maximum(np.abs(own.shares) @ size, 1e-12)):
-        return begin
-    weighed = own.shares * size
-    least = size * np.linalg.lstsq(weighed, load, rcond=1e-10)[0]
-    least[np.abs(least) < 1e-9 * size] = 0.0
-    found = begin + least
-    links = found.reshape(-1, PER_LINK)
-    if all(is_body(link) for link in links):
-        return np.asarray(found)
-    return _nearest_bodies(chain, begin, own.shares, own.shares @ (begin + change), size)
+        return Realised(begin, armature)
+    free = np.maximum(np.abs(armature), REACH**2)
+    weighed = np.column_stack([own.shares * size, like_rotor * free])
+    found = np.linalg.lstsq(weighed, load, rcond=1e-10)[0]
+    found[np.abs(found) < 1e-9] = 0.0
+    change, rotor = size * found[: len(size)], armature + free * found[len(size) :]
+    before, after = begin.reshape(-1, PER_LINK), (begin + change).reshape(-1, PER_LINK)
+    bodies = all(np.array_equal(old, new) or is_body(new) for old, new in zip(before, after, strict=True))
+    if bodies and np.all((rotor >= 0.0) | (rotor == armature)):
+        return Realised(begin + change, rotor)
+    return _nearest_bodies(chain, begin, armature, own.shares, like_rotor, load)
 
 
 def _sizes(begin: FloatArray) -> FloatArray:
@@ -87,34 +113,59 @@ def _sizes(begin: FloatArray) -> FloatArray:
     return np.asarray((mass[:, None] * one).ravel())
 
 
-def _nearest_bodies(
-    chain: Chain, begin: FloatArray, shares: FloatArray, load: FloatArray, size: FloatArray
-) -> FloatArray:
-    """By Cholesky factors of the pseudo-inertias, with which every point is a body."""
+def _motion(chain: Chain) -> tuple[FloatArray, FloatArray]:
+    """Columns (N, 10 n) of a random motion, and those (N, n) of rotors."""
     random, n = np.random.default_rng(0), chain.joints
     q = random.uniform(-np.pi, np.pi, (MOTIONS, n))
     qd, qdd = random.normal(size=(2, MOTIONS, n))
     columns = chain.regressor(q, qd, qdd, upright()).reshape(-1, n * PER_LINK)
+    return columns, (qdd[:, :, None] * np.eye(n)).reshape(-1, n)
+
+
+def _like_rotors(chain: Chain) -> FloatArray:
+    """What a rotor's inertia adds to what can be estimated, (P, n); zero where it acts like nothing else."""
+    columns, rotors = _motion(chain)
+    kept = columns[:, list(grouped(chain).kept)]
+    alike = np.linalg.lstsq(kept, rotors, rcond=1e-10)[0]
+    left = np.linalg.norm(rotors - kept @ alike, axis=0) / np.linalg.norm(rotors, axis=0)
+    return np.where(left < ALIKE, alike, 0.0)
+
+
+def _nearest_bodies(
+    chain: Chain,
+    begin: FloatArray,
+    armature: FloatArray,
+    shares: FloatArray,
+    like_rotor: FloatArray,
+    load: FloatArray,
+) -> Realised:
+    """By Cholesky factors of the pseudo-inertias, with which every point is a body."""
+    n, size, free = chain.joints, _sizes(begin), np.maximum(np.abs(armature), REACH**2)
+    columns, _ = _motion(chain)
     torque = float(np.sqrt(np.mean((columns @ begin) ** 2)))
     # a change of what can be estimated is weighed by the torque that it makes
-    loads = np.linalg.lstsq(shares.T, columns.T, rcond=1e-10)[0]
-    r = np.linalg.qr(loads.T / (EXACT * torque * np.sqrt(len(columns))), mode="r")
+    kept = columns[:, list(grouped(chain).kept)] / (EXACT * torque * np.sqrt(len(columns)))
+    r = np.linalg.qr(kept, mode="r")
     lower = np.tril_indices(4)
 
-    def bodies(z: FloatArray) -> FloatArray:
+    def bodies(z: FloatArray) -> tuple[FloatArray, FloatArray]:
         out = np.empty((n, PER_LINK))
-        for link, own in enumerate(z.reshape(n, -1)):
+        for link, own in enumerate(z[n:].reshape(n, -1)):
             factor = np.zeros((4, 4))
             factor[lower] = own
-            out[link] = parameters_of(factor @ factor.T)
-        return out.ravel()
+            thick = 2e-6 * THIN * factor[3] @ factor[3]
+            out[link] = parameters_of(factor @ factor.T + np.diag([thick, thick, thick, 0.0]))
+        return out.ravel(), z[:n] ** 2
 
     def residuals(z: FloatArray) -> FloatArray:
-        pi = bodies(z)
-        return np.concatenate([r @ (shares @ pi - load), (pi - begin) / size])
+        pi, rotor = bodies(z)
+        missed = shares @ (pi - begin) + like_rotor @ (rotor - armature) - load
+        return np.concatenate([r @ missed, (pi - begin) / size, (rotor - armature) / free])
 
-    start = np.concatenate([_factor(link)[lower] for link in begin.reshape(n, PER_LINK)])
-    return np.asarray(bodies(least_squares(residuals, start, x_scale="jac", max_nfev=200).x))
+    start = [_factor(link)[lower] for link in begin.reshape(n, PER_LINK)]
+    first = np.concatenate([np.sqrt(np.maximum(armature, 1e-6)), *start])
+    pi, rotor = bodies(least_squares(residuals, first, x_scale="jac", max_nfev=100).x)
+    return Realised(pi, np.where(np.any(like_rotor, axis=0), rotor, armature))
 
 
 def _factor(pi: FloatArray) -> FloatArray:

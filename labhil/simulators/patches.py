@@ -82,9 +82,13 @@ def _acts(name: str, values: Mapping[str, float]) -> bool:
 
 def stiffen_friction(described: Described, text: XmlText, parts: int = 1) -> None:
     """Let MuJoCo's dry friction hold as firmly as its time step, cut into parts, allows."""
-    joint = _joint(described, text)
+    stiffen_element(text, _joint(described, text), described.mechanism.timestep / parts)
+
+
+def stiffen_element(text: XmlText, joint: Element, step: float) -> None:
+    """The same of one joint's element, for steps of so many seconds."""
     why = "dry friction as firm as the time step allows"
-    text.set(joint, "solreffriction", f"{number(2.0 * described.mechanism.timestep / parts)} 1", why)
+    text.set(joint, "solreffriction", f"{number(2.0 * step)} 1", why)
     text.set(joint, "solimpfriction", "0.99 0.999 0.001", why)
 
 

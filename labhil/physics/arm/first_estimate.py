@@ -7,7 +7,7 @@ wrong by one per cent changes that friction, a few per cent of the torque itself
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from labhil.physics.arm.chain import Chain
 from labhil.physics.arm.grouped import Grouped, NormalEquations, grouped, memory, significant
 from labhil.physics.arm.motion import PreparedRecord
-from labhil.physics.arm.rigid_body import PER_LINK, upright
+from labhil.physics.arm.rigid_body import upright
 from labhil.physics.arm.view import View
 from labhil.signals import FloatArray
 
@@ -44,18 +44,18 @@ class FirstEstimate:
         """All inertial parameters with these values (P,) of the grouped ones."""
         return self.begin + self.grouped.embedded(values - self.begun)
 
-    def without(self, unwanted: Callable[[int, int], bool]) -> FirstEstimate:
-        """The same without parameters of which ``unwanted`` (link, kind from 0 to 9) holds."""
-        left = [i for i, c in enumerate(self.grouped.kept) if not unwanted(c // PER_LINK, c % PER_LINK)]
-        return FirstEstimate(self.grouped.only(left), self.values[left], self.errors[left], self.begin)
-
 
 def first_estimate(
-    links: Chain, record: PreparedRecord, motion_view: View, torque_constant: FloatArray
+    links: Chain,
+    record: PreparedRecord,
+    motion_view: View,
+    torque_constant: FloatArray,
+    laws: Sequence[str] = LAWS,
 ) -> FirstEstimate:
     """Least squares of the currents on the rigid body, friction and offsets of each joint.
 
-    ``torque_constant`` (6,) N·m/A. Friction that grows with the load joins in once a load is known.
+    ``torque_constant`` (6,) N·m/A. Friction that grows with the load joins in once a load is known. What acts
+    just as one of the joints' ``laws`` is left to that.
     """
     motion = record.motion
     judged = motion.judged[record.places] if motion is not None else np.ones(record.outputs.shape, dtype=bool)
@@ -63,7 +63,7 @@ def first_estimate(
     full = motion_view.rigid(upright(), 0.0)
     measured = record.outputs - full @ links.begin / torque_constant
     rigid = full[:, :, list(everything.kept)] / torque_constant[None, :, None]
-    others = _joint_columns(motion_view, None, torque_constant)
+    others = _joint_columns(motion_view, None, torque_constant, laws)
     columns = np.concatenate([rigid, others], axis=2)
     own = len(everything.kept)
     values = np.zeros(own)
@@ -77,7 +77,8 @@ def first_estimate(
         found, covariance = equations.solved(kept)
         values = found[: len(chosen)]
         inertial = links.begin + everything.only(chosen).embedded(values)
-        columns = np.concatenate([rigid, _joint_columns(motion_view, inertial, torque_constant)], axis=2)
+        others = _joint_columns(motion_view, inertial, torque_constant, laws)
+        columns = np.concatenate([rigid, others], axis=2)
     errors = np.sqrt(inflation * np.maximum(np.diag(covariance), 0.0))[: len(chosen)]
     own_only = everything.only(chosen)
     return FirstEstimate(own_only, values + own_only.shares @ links.begin, errors, links.begin)
@@ -99,11 +100,13 @@ def best_of(links: Chain, found: Sequence[FirstEstimate]) -> FirstEstimate:
     return FirstEstimate(everything.only(chosen), np.array(values), np.array(errors), links.begin)
 
 
-def _joint_columns(view: View, inertial: FloatArray | None, torque_constant: FloatArray) -> FloatArray:
+def _joint_columns(
+    view: View, inertial: FloatArray | None, torque_constant: FloatArray, laws: Sequence[str]
+) -> FloatArray:
     """Friction and offset of each joint (n, 6, k): a joint's columns are zero for all others."""
     blocks = []
     for joint in range(len(torque_constant)):
-        own = [view.law(joint, name, 0.0, 0.0, 0.0) / torque_constant[joint] for name in LAWS]
+        own = [view.law(joint, name, 0.0, 0.0, 0.0) / torque_constant[joint] for name in laws]
         if inertial is not None:
             own.append(view.load(joint, 0.0, inertial, upright(), 0.0) / torque_constant[joint])
         own.append(np.ones(len(own[0])))

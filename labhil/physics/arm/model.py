@@ -15,6 +15,7 @@ from labhil.errors import UnknownNameError
 from labhil.physics.arm.catalogue import GEAR_RATIO, NEVER_SEEN, Sizes, catalogue
 from labhil.physics.arm.chain import Chain
 from labhil.physics.arm.controller_constants import controller_constants, notes_on
+from labhil.physics.arm.first_estimate import LAWS as FIRST_LAWS
 from labhil.physics.arm.first_estimate import FirstEstimate, best_of, first_estimate
 from labhil.physics.arm.grouped import grouped
 from labhil.physics.arm.joint_laws import LAWS, JointMotion, directions
@@ -67,6 +68,7 @@ class ArmModel:
     forgets = True
     force_unit = "N·m"
     output_unit = "A"
+    first_laws: tuple[str, ...] = FIRST_LAWS
     _forces: tuple[ExtraForce, ...] = ()
 
     def __init__(self, rig: RigFile, record: Record | None = None) -> None:
@@ -141,7 +143,7 @@ class ArmModel:
             begin = self.links.begin
             return FirstEstimate(every, every.shares @ begin, np.ones(len(every.kept)), begin)
         found = [
-            first_estimate(self.links, ready, self._view(ready), self._constant)
+            first_estimate(self.links, ready, self._view(ready), self._constant, self.first_laws)
             for ready in map(self.prepare, record.recordings())
         ]
         return found[0] if len(found) == 1 else best_of(self.links, found)
