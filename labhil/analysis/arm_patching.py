@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
@@ -133,7 +133,8 @@ def _candidate(
     text = XmlText.read(bench.path)
     patched = patched_arm(bench.simulator.arm, text, effects, inertial, payload, firm=firm)
     dry = [effects.get(keyed("coulomb_friction.level", j), 0.0) for j in range(model.joints)]
-    return patched, Beside(patched.left, bench.constants(model, theta), bench.simulator.joints, dry)
+    constants = bench.constants(model, theta)
+    return patched, Beside(patched.left, constants, bench.simulator.joints, dry, firm=patched.unsaid)
 
 
 def _bare(bench: ArmBench, model: ArmFileModel, theta: np.ndarray) -> Beside:
@@ -158,8 +159,8 @@ def _run(
         code.write_text(beside.text(out.name), encoding="utf-8")
         outputs = {bench.simulator.output: bench.simulator.measures}
         simulator = arm_simulator(draft, None, outputs, bench.simulator.name)
-        functions: Any = module_of(code)
-        itself = ArmFileRun(simulator, bench.rig, material.judge, cast("Companion", functions), model.cut_off)
+        functions: Companion = cast("Companion", module_of(code))
+        itself = ArmFileRun(simulator, bench.rig, material.judge, functions, model.cut_off, firm=beside.firm)
         return _score(itself, start_values(itself.parameters), material)
     except OSError as error:
         raise UsageError(f"{out}: cannot be written: {error.strerror}") from error

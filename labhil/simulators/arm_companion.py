@@ -77,7 +77,7 @@ In each step of a simulation, with friction = Friction() and load = numpy.zeros(
     mujoco.mj_rne(model, data, 1, load)  # torques of the links alone
     data.qfrc_applied[:] = -friction(data.qpos, data.qvel, data.qacc, load)
 
-and what is measured of the drives is measured(torques of the drives).
+{firm}and what is measured of the drives is measured(torques of the drives).
 """
 
 import math
@@ -124,17 +124,27 @@ def measured(torque):
 '''
 
 
+FIRM = """The file's dry friction has to hold firmly, which its format cannot say; when it is loaded,
+
+    model.dof_solref[:] = 2.0 * model.opt.timestep, 1.0
+    model.dof_solimp[:, :3] = 0.99, 0.999, 0.001
+
+"""
+
+
 @dataclass(frozen=True, slots=True)
 class Beside:
     """Values by key that stand beside a file, constants (n,) in N·m/A or None for torques, joints by name.
 
-    ``dry`` (n,) is the file's own dry friction, N·m.
+    ``dry`` (n,) is the file's own dry friction, N·m; where it has to be ``firm`` and the format cannot say
+    so, the one who loads the file has to.
     """
 
     values: Mapping[str, float]
     constants: Sequence[float] | None
     joints: tuple[str, ...]
     dry: Sequence[float]
+    firm: bool = False
 
     @property
     def unheld(self) -> tuple[str, ...]:
@@ -149,6 +159,7 @@ class Beside:
         per_torque = [g / k for g, k in zip(gain, constants, strict=True)]
         return TEXT.format(
             file=file,
+            firm=FIRM if self.firm else "",
             joints=", ".join(f"{j} {name}" for j, name in enumerate(self.joints)),
             bristles=_row([self._of("presliding_friction.length", j) for j in range(n)]),
             dry=_row(self.dry),

@@ -43,17 +43,21 @@ class ArmWriter(Protocol):
         """Put ten inertial parameters, about the origin of the body's frame, into the joint's body."""
         ...
 
-    def stiffen(self, joint: int) -> None:
-        """Let dry friction of a joint hold as firmly as the time step allows, where the format can say so."""
+    def stiffen(self, joint: int) -> bool:
+        """Let dry friction of a joint hold as firmly as the time step allows; False: no place for that."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class PatchedArm:
-    """A file's text with its changes, and the values, by key, that it cannot hold."""
+    """A file's text with its changes, and the values, by key, that it cannot hold.
+
+    Where dry friction has to be firm and the format cannot say so, that is ``unsaid``.
+    """
 
     text: XmlText
     left: Mapping[str, float]
+    unsaid: bool
 
 
 def patched_arm(
@@ -95,10 +99,9 @@ def patched_arm(
                 del left[key]
             elif key not in left and now:
                 writer.set_joint(joint, name, 0.0)
-        if firm:
-            writer.stiffen(joint)
+    said = not firm or all(writer.stiffen(joint) for joint in range(arm.tree.joints))
     _set_bodies(arm, writer, own, bodies.inertial, payload)
-    return PatchedArm(text, {key: value for key, value in left.items() if value})
+    return PatchedArm(text, {key: value for key, value in left.items() if value}, unsaid=not said)
 
 
 def _set_bodies(
@@ -194,10 +197,11 @@ class MjcfWriter:
         for name, value in values.items():
             self.text.set(inertial[0], name, value, why)
 
-    def stiffen(self, joint: int) -> None:
+    def stiffen(self, joint: int) -> bool:
         """As for one joint, see ``simulators.patches.stiffen_friction``."""
         element = self._element("joint", self._arm.joints[joint], joint)
         stiffen_element(self.text, element, float(self._arm.model.opt.timestep))
+        return True
 
     def _element(self, tag: str, name: str, place: int) -> Element:
         found = self.text.inside(tag, "worldbody")
@@ -258,8 +262,9 @@ class UrdfWriter:
         for name, value in moments.items():
             self.text.set(parts["inertia"], name, value, why)
 
-    def stiffen(self, joint: int) -> None:
+    def stiffen(self, joint: int) -> bool:
         """URDF does not say how friction is solved."""
+        return False
 
     def _named(self, tag: str, name: str) -> Element:
         found = [e for e in self.text.elements if e.tag == tag and len(e.above) == 1]

@@ -31,10 +31,17 @@ class ArmFileRun(ArmFileModel):
     """
 
     def __init__(
-        self, simulator: ArmSimulator, rig: RigFile, record: Record, beside: Companion, cut_off: float
+        self,
+        simulator: ArmSimulator,
+        rig: RigFile,
+        record: Record,
+        beside: Companion,
+        cut_off: float,
+        *,
+        firm: bool = False,
     ) -> None:
         super().__init__(simulator, rig, record)
-        self.cut_off, self._beside = cut_off, beside
+        self.cut_off, self._beside, self._firm = cut_off, beside, firm
         self._found: dict[int, FloatArray] = {}
 
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
@@ -54,7 +61,11 @@ class ArmFileRun(ArmFileModel):
         """Torques of the drives along a whole motion, (m, n)."""
         arm = self.simulator.arm
         links = inverse(arm.quiet(), motion.q, motion.qd, motion.qdd)
-        whole = inverse(without_touching(arm.model), motion.q, motion.qd, motion.qdd)
+        model = without_touching(arm.model)
+        if self._firm:
+            model.dof_solref[:] = 2.0 * model.opt.timestep, 1.0
+            model.dof_solimp[:, :3] = 0.99, 0.999, 0.001
+        whole = inverse(model, motion.q, motion.qd, motion.qdd)
         friction = self._beside.Friction()
         along = zip(motion.q, motion.qd, motion.qdd, links, strict=True)
         more = np.array([friction(*each) for each in along])
