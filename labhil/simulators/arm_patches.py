@@ -9,10 +9,11 @@ from typing import Protocol
 import numpy as np
 
 from labhil.errors import UsageError
+from labhil.physics.arm.links import inertial_of
 from labhil.physics.arm.rigid_body import PER_LINK
 from labhil.physics.terms import keyed
 from labhil.signals import FloatArray
-from labhil.simulators.arm_file import ArmFile, matrix_of
+from labhil.simulators.arm_file import ArmFile, matrix_of, rotation_about
 from labhil.simulators.inertia import at_centre, realised
 from labhil.simulators.patches import number, set_part, stiffen_element
 from labhil.simulators.xml_text import Element, XmlText
@@ -27,6 +28,7 @@ JOINT_VALUES = {
 """Effects that a file may hold of a joint, and what they are there."""
 
 ROTOR = "added_inertia.inertia"
+MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 ORIENTED = ("quat", "euler", "axisangle", "xyaxes", "zaxis", "diaginertia")
 
 
@@ -37,6 +39,10 @@ class ArmWriter(Protocol):
 
     def set_joint(self, joint: int, name: str, value: float) -> bool:
         """Put a value of a joint into the file; False where the format has no place for it."""
+        ...
+
+    def inertial(self, joint: int) -> FloatArray:
+        """Ten inertial parameters of the joint's body alone, about the origin of its frame."""
         ...
 
     def set_inertial(self, joint: int, pi: FloatArray, why: str) -> None:
@@ -86,7 +92,9 @@ def patched_arm(
         UsageError: The file does not itself have what is to be changed.
     """
     writer: ArmWriter = UrdfWriter(arm, text) if text.elements[0].tag == "robot" else MjcfWriter(arm, text)
-    own = np.concatenate([_own(arm, joint) for joint in range(arm.tree.joints)])
+    own = np.concatenate(
+        [moved(writer.inertial(j), -np.array(arm.model.jnt_pos[j])) for j in range(arm.tree.joints)]
+    )
     rotors = np.array([values.get(keyed(ROTOR, joint), 0.0) for joint in range(arm.tree.joints)])
     bodies = realised(arm.tree, own, inertial, arm.tree.begin - own, rotors)
     rotors_left = {keyed(ROTOR, joint): float(j) for joint, j in enumerate(bodies.armature) if j}
@@ -118,19 +126,6 @@ def _set_bodies(
             writer.set_inertial(joint, moved(carried, np.array(arm.model.jnt_pos[joint])), " and ".join(whys))
 
 
-def _own(arm: ArmFile, joint: int) -> FloatArray:
-    """Inertial parameters of the body with a joint alone, in the joint's frame."""
-    model, body = arm.model, arm.groups[joint][0]
-    axes = matrix_of(model.body_iquat[body])
-    i = axes @ np.diag(model.body_inertia[body]) @ axes.T
-    m, centre = float(model.body_mass[body]), np.array(model.body_ipos[body])
-    about = i + m * (centre @ centre * np.eye(3) - np.outer(centre, centre))
-    pi = np.array(
-        [m, *(m * centre), *np.diag(about), about[0, 1], about[0, 2], about[1, 2]], dtype=np.float64
-    )
-    return moved(pi, -np.array(model.jnt_pos[joint]))
-
-
 def moved(pi: FloatArray, by: FloatArray) -> FloatArray:
     """The same body's parameters about an origin from which it lies ``by`` (3,) m farther."""
     if not np.any(by):
@@ -145,6 +140,12 @@ def moved(pi: FloatArray, by: FloatArray) -> FloatArray:
     change = steiner(new) - steiner(h)
     moments = pi[4:] + np.array([*np.diag(change), change[0, 1], change[0, 2], change[1, 2]])
     return np.array([m, *new, *moments])
+
+
+def tidy(values: FloatArray, form: str = "{:.6g}") -> list[str]:
+    """Numbers as they are written; what is nothing beside the largest is 0."""
+    least = 1e-9 * float(np.max(np.abs(values)))
+    return [form.format(float(x) if abs(x) > least else 0.0) for x in values]
 
 
 class MjcfWriter:
@@ -176,15 +177,23 @@ class MjcfWriter:
         set_part(self.text, element, "damping", place, value, has, why)
         return True
 
+    def inertial(self, joint: int) -> FloatArray:
+        """Of the body, as MuJoCo has it of its <inertial> or its geoms."""
+        model, body = self._arm.model, self._arm.groups[joint][0]
+        axes = matrix_of(model.body_iquat[body])
+        i = axes @ np.diag(model.body_inertia[body]) @ axes.T
+        six = (i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2])
+        return inertial_of(float(model.body_mass[body]), tuple(model.body_ipos[body].tolist()), six)
+
     def set_inertial(self, joint: int, pi: FloatArray, why: str) -> None:
         """Set the body's <inertial>, or give it one, which MuJoCo takes in place of its geoms' masses."""
         m, centre, i = at_centre(pi)
         body = self._element("body", self._arm.bodies[joint], self._arm.groups[joint][0] - 1)
         values = {
             "mass": number(m),
-            "pos": " ".join(number(x) for x in centre),
+            "pos": " ".join(tidy(centre)),
             "fullinertia": " ".join(
-                f"{x:.9g}" for x in (i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2])
+                tidy(np.array([i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]]), "{:.9g}")
             ),
         }
         inertial = self.text.children(body, "inertial")
@@ -237,12 +246,14 @@ class UrdfWriter:
         return True
 
     def set_inertial(self, joint: int, pi: FloatArray, why: str) -> None:
-        """Set mass, <origin> and <inertia>, whose axes are then those of the link."""
-        m, centre, i = at_centre(pi)
+        """Set mass, <origin> and <inertia>, whose axes are then those of the link.
+
+        MuJoCo takes links that are fixed to another one into that; they stay as they are.
+        """
         link = self._named("link", self._arm.bodies[joint])
-        place = " ".join(number(x) for x in centre)
-        names = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
-        moments = {name: f"{float(i[at]):.9g}" for name, at in names.items()}
+        m, centre, i = at_centre(pi)
+        place = " ".join(tidy(centre))
+        moments = dict(zip(MOMENTS, tidy(i[np.triu_indices(3)], "{:.9g}"), strict=True))
         inertial = self.text.children(link, "inertial")
         if not inertial:
             stated = " ".join(f'{name}="{value}"' for name, value in moments.items())
@@ -261,6 +272,25 @@ class UrdfWriter:
         self.text.set(parts["mass"], "value", number(m), why)
         for name, value in moments.items():
             self.text.set(parts["inertia"], name, value, why)
+
+    def inertial(self, joint: int) -> FloatArray:
+        """Of the link, as the text has it."""
+        link = self._named("link", self._arm.bodies[joint])
+        parts = {e.tag: e.attributes for e in self.text.elements if link.number in e.above}
+        if "mass" not in parts:
+            return np.zeros(PER_LINK)
+        origin, moments = parts.get("origin", {}), parts.get("inertia", {})
+        roll, pitch, yaw = (float(x) for x in origin.get("rpy", "0 0 0").split())
+        axes = rotation_about(np.array([0.0, 0.0, 1.0]), yaw)
+        axes = axes @ rotation_about(np.array([0.0, 1.0, 0.0]), pitch)
+        axes = axes @ rotation_about(np.array([1.0, 0.0, 0.0]), roll)
+        i = np.zeros((3, 3))
+        for name, at in zip(MOMENTS, zip(*np.triu_indices(3), strict=True), strict=True):
+            i[at] = i[at[::-1]] = float(moments.get(name, 0.0))
+        i = axes @ i @ axes.T
+        centre = tuple(float(x) for x in origin.get("xyz", "0 0 0").split())
+        six = (i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2])
+        return inertial_of(float(parts["mass"]["value"]), centre, six)
 
     def stiffen(self, joint: int) -> bool:
         """URDF does not say how friction is solved."""

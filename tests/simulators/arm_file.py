@@ -43,7 +43,7 @@ URDF = """<?xml version="1.0"?>
       <inertia ixx="0.02" ixy="0" ixz="0" iyy="0.06" iyz="0" izz="0.05"/></inertial>
   </link>
   <link name="lower">
-    <inertial><origin xyz="0.15 0 0"/><mass value="1.9"/>
+    <inertial><origin xyz="0.15 0 0"/><mass value="1.5"/>
       <inertia ixx="0.002" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.03"/></inertial>
   </link>
   <joint name="turn" type="revolute"><parent link="base"/><child link="turret"/>
@@ -54,6 +54,11 @@ URDF = """<?xml version="1.0"?>
     <limit lower="-3" upper="3" effort="50" velocity="5"/></joint>
   <joint name="bend" type="revolute"><parent link="upper"/><child link="lower"/>
     <origin xyz="0.4 0 0"/><axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="50" velocity="5"/></joint>
+  <link name="tool">
+    <inertial><origin xyz="0 0.01 0" rpy="0 0 0.5"/><mass value="0.4"/>
+      <inertia ixx="0.001" ixy="0" ixz="0" iyy="0.002" iyz="0" izz="0.002"/></inertial>
+  </link>
+  <joint name="flange" type="fixed"><parent link="lower"/><child link="tool"/><origin xyz="0.3 0 0"/></joint>
 </robot>
 """
 
