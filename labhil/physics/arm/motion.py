@@ -59,8 +59,23 @@ class LowPass:
         return max(1, round(0.35 / (self.cut_off * self.period)))
 
     def __call__(self, columns: FloatArray) -> FloatArray:
-        """Filter columns (n, …) along time."""
-        return np.asarray(signal.sosfiltfilt(_sections(2.0 * self.cut_off * self.period), columns, axis=0))
+        """Filter columns (n, …) along time.
+
+        As ``scipy.signal.sosfiltfilt``, which works out the filter's state at rest anew for every column.
+        """
+        sections, at_rest = _sections(2.0 * self.cut_off * self.period)
+        edge = 3 * (2 * len(sections) + 1)
+        if len(columns) <= edge:
+            return np.asarray(signal.sosfiltfilt(sections, columns, axis=0))
+        before, after = (
+            2.0 * columns[:1] - columns[edge:0:-1],
+            2.0 * columns[-1:] - columns[-2 : -edge - 2 : -1],
+        )
+        found = np.concatenate([before, columns, after])
+        at_rest = at_rest.reshape(*at_rest.shape, *[1] * (columns.ndim - 1))
+        for _ in range(2):
+            found = signal.sosfilt(sections, found, axis=0, zi=at_rest * found[0])[0][::-1]
+        return np.ascontiguousarray(found[edge:-edge])
 
     def autocovariance(self, n: int, correlation: float = 0.0) -> FloatArray:
         """What unit noise is like behind the filter, by distance in samples (n,), away from the ends.
@@ -78,9 +93,13 @@ class LowPass:
 
 
 @lru_cache
-def _sections(share: float) -> FloatArray:
-    """Second-order sections of the low-pass that cuts off at this share of half the sampling rate."""
-    return np.asarray(signal.butter(4, share, output="sos"))
+def _sections(share: float) -> tuple[FloatArray, FloatArray]:
+    """Second-order sections of the low-pass that cuts off at this share of half the sampling rate.
+
+    With the state (sections, 2) that each is in where the input has always been 1.
+    """
+    sections = np.asarray(signal.butter(4, share, output="sos"))
+    return sections, np.asarray(signal.sosfilt_zi(sections))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
