@@ -24,6 +24,7 @@ from labhil.simulators.mjcf import describe
 from labhil.simulators.mjcf_file import Described, load_model
 from labhil.simulators.patches import Patched, patched, shorten_step, stiffen_friction
 from labhil.simulators.rolled_out import RolledOutModel
+from labhil.simulators.urdf_patches import firm_friction, patched_urdf, shorten_urdf_step
 from labhil.simulators.xml_text import XmlText
 
 FINER = (2, 4, 8)
@@ -82,13 +83,14 @@ def patch(
     for beside, candidate in _candidates(bench.described, into, values):
         progress(f"running the repaired file on the held-out data{beside and ', ' + beside}")
         left = sorted_out(candidate.left)
-        text = companion(left, out.name, bench.signal, bench.at_rest(candidate))
+        text = companion(left, out.name, bench.signal, bench.at_rest(candidate), firm=candidate.unsaid)
         rmse = _tried(bench, candidate, text, out, material, found.horizon)
         attempts.append(Attempt(beside, rmse, rmse / model.rmse))
         if attempts[-1].ratio <= KEPT and not left.unknown:
-            write(candidate.text, text if candidate.left else "", out, code)
+            needed = bool(candidate.left) or candidate.unsaid
+            write(candidate.text, text if needed else "", out, code)
             return Patch(
-                out, code if candidate.left else None, tuple(candidate.text.changes),
+                out, code if needed else None, tuple(candidate.text.changes),
                 tuple(candidate.left), difference(candidate.text, out), found.promised, model.rmse, before,
                 tuple(attempts),
                 model.channels[0].unit if len(model.channels) == 1 else "noise floors",
@@ -155,15 +157,19 @@ def _candidates(
     described: Described, into: Path, values: Mapping[str, float]
 ) -> Iterator[tuple[str, Patched]]:
     """The file with the values; then, for what MuJoCo's own steps leave, with firmer friction and finer."""
-    plain = patched(described, XmlText.read(into), values)
+    urdf = XmlText.read(into).elements[0].tag == "robot"
+    put, shorten = (patched_urdf, shorten_urdf_step) if urdf else (patched, shorten_step)
+    plain = put(described, XmlText.read(into), values)
     yield "", plain
-    rubs = any(change.attribute == "frictionloss" for change in plain.text.changes)
+    rubs = any(change.attribute in ("frictionloss", "friction") for change in plain.text.changes)
     for parts in (1, *FINER) if rubs else FINER:
-        candidate = patched(described, XmlText.read(into), values)
-        if rubs:
+        candidate = put(described, XmlText.read(into), values)
+        if rubs and urdf:
+            candidate = replace(candidate, unsaid=True)
+        elif rubs:
             stiffen_friction(described, candidate.text, parts)
         if parts > 1:
-            shorten_step(described, candidate.text, parts)
+            shorten(described, candidate.text, parts)
             candidate = replace(candidate, parts=parts)
         beside = ["firm dry friction"] * rubs + [f"steps of 1/{parts}"] * (parts > 1)
         yield " and ".join(beside), candidate
@@ -177,6 +183,8 @@ def _tried(
     try:
         draft.write_bytes(candidate.text.changed())
         described = _described(draft, bench.section, bench.described.simulator.name)
+        if candidate.unsaid:
+            firm_friction(described.model, described.mechanism.timestep)
         if sorted_out(candidate.left).forces:
             code.write_text(text, encoding="utf-8")
             push: Any = object_of(f"{code.name}:force", code.parent)

@@ -12,7 +12,7 @@ from textwrap import wrap
 from typing import NamedTuple
 
 from labhil.physics.terms import keyed
-from labhil.simulators.companion import WIDTH
+from labhil.simulators.companion import FIRM, WIDTH
 
 OUTPUT = ("sensor_offset.offset", "torque_constant.gain")
 SHAPES = ("stribeck_friction.velocity", "torque_ripple.order")
@@ -124,14 +124,6 @@ def measured(torque):
 '''
 
 
-FIRM = """The file's dry friction has to hold firmly, which its format cannot say; when it is loaded,
-
-    model.dof_solref[:] = 2.0 * model.opt.timestep, 1.0
-    model.dof_solimp[:, :3] = 0.99, 0.999, 0.001
-
-"""
-
-
 @dataclass(frozen=True, slots=True)
 class Beside:
     """Values by key that stand beside a file, constants (n,) in N·m/A or None for torques, joints by name.
@@ -159,7 +151,7 @@ class Beside:
         per_torque = [g / k for g, k in zip(gain, constants, strict=True)]
         return TEXT.format(
             file=file,
-            firm=FIRM if self.firm else "",
+            firm=f"{FIRM.strip()}\n\n" if self.firm else "",
             joints=", ".join(f"{j} {name}" for j, name in enumerate(self.joints)),
             bristles=_row([self._of("presliding_friction.length", j) for j in range(n)]),
             dry=_row(self.dry),

@@ -13,9 +13,10 @@ from labhil.physics.arm.links import inertial_of
 from labhil.physics.arm.rigid_body import PER_LINK
 from labhil.physics.terms import keyed
 from labhil.signals import FloatArray
-from labhil.simulators.arm_file import ArmFile, matrix_of, rotation_about
-from labhil.simulators.inertia import at_centre, realised
+from labhil.simulators.arm_file import ArmFile, matrix_of
+from labhil.simulators.inertia import at_centre, moved, realised
 from labhil.simulators.patches import number, set_part, stiffen_element
+from labhil.simulators.urdf_text import inertial_of_link, set_dynamics, set_inertial, tidy
 from labhil.simulators.xml_text import Element, XmlText
 
 JOINT_VALUES = {
@@ -28,7 +29,6 @@ JOINT_VALUES = {
 """Effects that a file may hold of a joint, and what they are there."""
 
 ROTOR = "added_inertia.inertia"
-MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 ORIENTED = ("quat", "euler", "axisangle", "xyaxes", "zaxis", "diaginertia")
 
 
@@ -126,28 +126,6 @@ def _set_bodies(
             writer.set_inertial(joint, moved(carried, np.array(arm.model.jnt_pos[joint])), " and ".join(whys))
 
 
-def moved(pi: FloatArray, by: FloatArray) -> FloatArray:
-    """The same body's parameters about an origin from which it lies ``by`` (3,) m farther."""
-    if not np.any(by):
-        return pi
-    m, h = pi[0], np.asarray(pi[1:4])
-    new = h + m * by
-
-    def steiner(first: FloatArray) -> FloatArray:
-        """m·(c² − c·cᵀ) of a first moment m·c, (3, 3)."""
-        return np.asarray((first @ first * np.eye(3) - np.outer(first, first)) / m) if m else np.zeros((3, 3))
-
-    change = steiner(new) - steiner(h)
-    moments = pi[4:] + np.array([*np.diag(change), change[0, 1], change[0, 2], change[1, 2]])
-    return np.array([m, *new, *moments])
-
-
-def tidy(values: FloatArray, form: str = "{:.6g}") -> list[str]:
-    """Numbers as they are written; what is nothing beside the largest is 0."""
-    least = 1e-9 * float(np.max(np.abs(values)))
-    return [form.format(float(x) if abs(x) > least else 0.0) for x in values]
-
-
 class MjcfWriter:
     """An MJCF file."""
 
@@ -236,69 +214,17 @@ class UrdfWriter:
         attribute = {"damping": "damping", "frictionloss": "friction"}.get(JOINT_VALUES[name])
         if attribute is None or value < 0.0:
             return False
-        element = self._named("joint", self._arm.joints[joint])
-        dynamics = self.text.children(element, "dynamics")
-        why = f"{name} = {number(value)}"
-        if dynamics:
-            self.text.set(dynamics[0], attribute, number(value), why)
-        else:
-            self.text.add_attribute_of_new(element, "dynamics", attribute, number(value), why)
+        set_dynamics(self.text, self._arm.joints[joint], attribute, value, f"{name} = {number(value)}")
         return True
-
-    def set_inertial(self, joint: int, pi: FloatArray, why: str) -> None:
-        """Set mass, <origin> and <inertia>, whose axes are then those of the link.
-
-        MuJoCo takes links that are fixed to another one into that; they stay as they are.
-        """
-        link = self._named("link", self._arm.bodies[joint])
-        m, centre, i = at_centre(pi)
-        place = " ".join(tidy(centre))
-        moments = dict(zip(MOMENTS, tidy(i[np.triu_indices(3)], "{:.9g}"), strict=True))
-        inertial = self.text.children(link, "inertial")
-        if not inertial:
-            stated = " ".join(f'{name}="{value}"' for name, value in moments.items())
-            self.text.add(
-                link,
-                f'<inertial><origin xyz="{place}"/><mass value="{number(m)}"/><inertia {stated}/></inertial>',
-                why,
-            )
-            return
-        parts = {e.tag: e for e in self.text.children(inertial[0])}
-        if "origin" in parts:
-            self.text.set(parts["origin"], "xyz", place, why)
-            self.text.drop(parts["origin"], "rpy", why)
-        else:
-            self.text.add(inertial[0], f'<origin xyz="{place}"/>', why)
-        self.text.set(parts["mass"], "value", number(m), why)
-        for name, value in moments.items():
-            self.text.set(parts["inertia"], name, value, why)
 
     def inertial(self, joint: int) -> FloatArray:
         """Of the link, as the text has it."""
-        link = self._named("link", self._arm.bodies[joint])
-        parts = {e.tag: e.attributes for e in self.text.elements if link.number in e.above}
-        if "mass" not in parts:
-            return np.zeros(PER_LINK)
-        origin, moments = parts.get("origin", {}), parts.get("inertia", {})
-        roll, pitch, yaw = (float(x) for x in origin.get("rpy", "0 0 0").split())
-        axes = rotation_about(np.array([0.0, 0.0, 1.0]), yaw)
-        axes = axes @ rotation_about(np.array([0.0, 1.0, 0.0]), pitch)
-        axes = axes @ rotation_about(np.array([1.0, 0.0, 0.0]), roll)
-        i = np.zeros((3, 3))
-        for name, at in zip(MOMENTS, zip(*np.triu_indices(3), strict=True), strict=True):
-            i[at] = i[at[::-1]] = float(moments.get(name, 0.0))
-        i = axes @ i @ axes.T
-        centre = tuple(float(x) for x in origin.get("xyz", "0 0 0").split())
-        six = (i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2])
-        return inertial_of(float(parts["mass"]["value"]), centre, six)
+        return inertial_of_link(self.text, self._arm.bodies[joint])
+
+    def set_inertial(self, joint: int, pi: FloatArray, why: str) -> None:
+        """Of the link alone: MuJoCo takes links that are fixed to it into it; they stay as they are."""
+        set_inertial(self.text, self._arm.bodies[joint], pi, why)
 
     def stiffen(self, joint: int) -> bool:
         """URDF does not say how friction is solved."""
         return False
-
-    def _named(self, tag: str, name: str) -> Element:
-        found = [e for e in self.text.elements if e.tag == tag and len(e.above) == 1]
-        named = [e for e in found if e.attributes.get("name") == name]
-        if len(named) != 1:
-            raise UsageError(f"{self.text.path}: expected one <{tag} name={name!r}>, found {len(named)}")
-        return named[0]

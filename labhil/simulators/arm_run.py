@@ -15,6 +15,7 @@ from labhil.signals import FloatArray
 from labhil.simulators.arm import ArmFileModel, ArmSimulator
 from labhil.simulators.arm_file import without_touching
 from labhil.simulators.mechanism import PURPOSE
+from labhil.simulators.urdf_patches import firm_friction
 
 
 class Companion(Protocol):
@@ -63,8 +64,7 @@ class ArmFileRun(ArmFileModel):
         links = inverse(arm.quiet(), motion.q, motion.qd, motion.qdd)
         model = without_touching(arm.model)
         if self._firm:
-            model.dof_solref[:] = 2.0 * model.opt.timestep, 1.0
-            model.dof_solimp[:, :3] = 0.99, 0.999, 0.001
+            firm_friction(model, float(model.opt.timestep))
         whole = inverse(model, motion.q, motion.qd, motion.qdd)
         friction = self._beside.Friction()
         along = zip(motion.q, motion.qd, motion.qdd, links, strict=True)

@@ -181,3 +181,19 @@ def at_centre(pi: FloatArray) -> tuple[float, FloatArray, FloatArray]:
     centre = np.array([hx, hy, hz]) / m
     i = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     return float(m), centre, np.asarray(i - m * (centre @ centre * np.eye(3) - np.outer(centre, centre)))
+
+
+def moved(pi: FloatArray, by: FloatArray) -> FloatArray:
+    """The same body's parameters about an origin from which it lies ``by`` (3,) m farther."""
+    if not np.any(by):
+        return pi
+    m, h = pi[0], np.asarray(pi[1:4])
+    new = h + m * by
+
+    def steiner(first: FloatArray) -> FloatArray:
+        """m·(c² − c·cᵀ) of a first moment m·c, (3, 3)."""
+        return np.asarray((first @ first * np.eye(3) - np.outer(first, first)) / m) if m else np.zeros((3, 3))
+
+    change = steiner(new) - steiner(h)
+    moments = pi[4:] + np.array([*np.diag(change), change[0, 1], change[0, 2], change[1, 2]])
+    return np.array([m, *new, *moments])

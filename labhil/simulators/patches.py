@@ -23,12 +23,14 @@ beside the file gives it back as the joint moves (see ``simulators.companion``).
 class Patched:
     """A file's text with its changes, and the values of effects that no attribute stands for.
 
-    Its time step is the file's, cut into ``parts``.
+    Its time step is the file's, cut into ``parts``. Where dry friction has to be firm and the format cannot
+    say so, that is ``unsaid``.
     """
 
     text: XmlText
     left: Mapping[str, float]
     parts: int = 1
+    unsaid: bool = False
 
 
 def number(value: float) -> str:
@@ -52,22 +54,32 @@ def patched(described: Described, text: XmlText, values: Mapping[str, float]) ->
     """
     if text.elements[0].tag != "mujoco":
         raise UsageError(
-            f"{text.path}: expected an MJCF file (<mujoco>), found <{text.elements[0].tag}>; save it "
-            "as MJCF with mujoco.mj_saveLastXML first"
+            f"{text.path}: expected an MJCF file (<mujoco>) or URDF (<robot>), found <{text.elements[0].tag}>"
         )
     own = {value.name: value for value in described.mechanism.values}
-    rubs = {name: 0.0 for field, name in RUBS.items() if read_value(described.model, field, 0) != 0.0}
-    left = rubs | dict(values)  # friction of the file that the result does without is taken out
-    held = sum(left.get(name, 0.0) for name in HOLDING)
-    if held:
-        left[RUBS[Field.FRICTIONLOSS]] = left.get(RUBS[Field.FRICTIONLOSS], 0.0) + held
+    left = with_holding(described, values)
     for name, value in own.items():
         if name in left:
             _set_own(described, text, value, left.pop(name))
     for name, put in EFFECTS.items():
         if name in left and put(described, text, left[name]):
             del left[name]
-    return Patched(text, {name: value for name, value in left.items() if value and _acts(name, left)})
+    return Patched(text, without_shapes(left))
+
+
+def with_holding(described: Described, values: Mapping[str, float]) -> dict[str, float]:
+    """Values with dry friction that holds with all of it; what the file has beside them is taken out."""
+    rubs = {name: 0.0 for field, name in RUBS.items() if read_value(described.model, field, 0) != 0.0}
+    left = rubs | dict(values)
+    held = sum(left.get(name, 0.0) for name in HOLDING)
+    if held:
+        left[RUBS[Field.FRICTIONLOSS]] = left.get(RUBS[Field.FRICTIONLOSS], 0.0) + held
+    return left
+
+
+def without_shapes(left: Mapping[str, float]) -> dict[str, float]:
+    """Values that do something."""
+    return {name: value for name, value in left.items() if value and _acts(name, left)}
 
 
 def _acts(name: str, values: Mapping[str, float]) -> bool:
