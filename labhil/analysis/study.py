@@ -80,7 +80,7 @@ def fit_study(
     model = under_kept_curve(material.model, start)
     chosen = terms
     if chosen is None:
-        chosen = terms_of(start) if start is not None else rig_model(model.kind).general
+        chosen = terms_of(start) if start is not None else _shown(model, rig_model(model.kind).general)
     chosen = _with_own(model, chosen, stated=bool(terms))
     if not chosen and all(parameter.term is not None for parameter in model.parameters):
         raise OptionError("terms", f": expected one at least, since all else of this {model.kind} is known")
@@ -135,7 +135,9 @@ def diagnose_study(
     values = _reference_values(material, reference)
     chosen = baseline
     if chosen is None:
-        chosen = terms_of(reference) if reference is not None else rig_model(model.kind).baseline
+        chosen = (
+            terms_of(reference) if reference is not None else _shown(model, rig_model(model.kind).baseline)
+        )
     terms_named(model, chosen)
     with material.naming():
         diagnosis = diagnose(
@@ -155,6 +157,12 @@ def diagnose_study(
     data["untimed"] = material.untimed()
     data["held_out"] = _held_out(material)
     return DiagnosisResult(diagnosis, material, data)
+
+
+def _shown(model: Model, names: Sequence[str]) -> tuple[str, ...]:
+    """Of terms that nobody asked for, those that this recording can show."""
+    there = {term.name for term in model.terms.values()}
+    return tuple(name for name in names if name in there or name not in model.never_seen)
 
 
 def _held_out(material: Material) -> list[list[float]]:
