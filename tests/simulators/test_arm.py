@@ -12,7 +12,7 @@ import pytest
 
 import labhil as lh
 from labhil.analysis.patch import KEPT
-from labhil.errors import RigFileError, UsageError
+from labhil.errors import RecordingError, RigFileError, UsageError
 from labhil.physics.arm.rigid_body import PER_LINK, upright
 from labhil.physics.arm.tree import Tree
 from labhil.simulators.arm import ArmSimulator, arm_simulator
@@ -104,6 +104,18 @@ def test_inputs_and_outputs_of_an_arm_are_its_motion_and_its_drives(tmp_path: Pa
         lh.mujoco_simulator(tmp_path / "reach.xml", inputs={"torque": "turn"})
     with pytest.raises(UsageError, match='joint_torque = "torque"'):
         lh.mujoco_simulator(tmp_path / "reach.xml", outputs={"angle": "bend"})
+
+
+def test_a_recording_of_something_else_is_told_what_an_arm_needs(tmp_path: Path) -> None:
+    rig = bench(tmp_path)
+    t = np.arange(0.0, 2.0, 0.01)
+    plain = lh.recording(t, {"voltage": np.sin(t)}, {"speed": np.cos(t)}, rig="dc_motor")
+    plain.save(tmp_path / "motor.mcap")
+    with pytest.raises(RecordingError) as refused:
+        lh.fit(tmp_path / "motor.mcap", rig)
+    assert "expected the signals actual_q, actual_qd, joint_torque with 3 columns each" in str(refused.value)
+    assert "(turn, lift, bend) for reach.xml, found voltage, speed." in str(refused.value)
+    assert "actual_q = { columns = […, …, …] }" in str(refused.value)
 
 
 def test_a_fit_finds_friction_rotors_and_a_heavier_link(tmp_path: Path) -> None:
