@@ -22,7 +22,7 @@ from labhil.python_file import module_of
 from labhil.rig import RigFile, default_rig, load_rig
 from labhil.simulators.arm import TORQUE, ArmFileModel, ArmSimulator, arm_simulator
 from labhil.simulators.arm_companion import Beside
-from labhil.simulators.arm_patches import PatchedArm, patched_arm
+from labhil.simulators.arm_patches import ROTOR, PatchedArm, patched_arm
 from labhil.simulators.arm_run import ArmFileRun, Companion
 from labhil.simulators.xml_text import XmlText
 
@@ -133,8 +133,15 @@ def _candidate(
     text = XmlText.read(bench.path)
     patched = patched_arm(bench.simulator.arm, text, effects, inertial, payload, firm=firm)
     dry = [effects.get(keyed("coulomb_friction.level", j), 0.0) for j in range(model.joints)]
+    rotors = {key for key, v in patched.left.items() if key.startswith(ROTOR) and v > 0.0 and patched.urdf}
+    left = {key: v for key, v in patched.left.items() if key not in rotors}
+    armature = tuple(patched.left[k] if k in rotors else 0.0 for k in _by_joint(ROTOR, model.joints))
     constants = bench.constants(model, theta)
-    return patched, Beside(patched.left, constants, bench.simulator.joints, dry, firm=patched.unsaid)
+    return patched, Beside(left, constants, bench.simulator.joints, dry, patched.unsaid, armature)
+
+
+def _by_joint(name: str, joints: int) -> list[str]:
+    return [keyed(name, joint) for joint in range(joints)]
 
 
 def _bare(bench: ArmBench, model: ArmFileModel, theta: np.ndarray) -> Beside:

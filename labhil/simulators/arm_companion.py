@@ -77,7 +77,7 @@ In each step of a simulation, with friction = Friction() and load = numpy.zeros(
     mujoco.mj_rne(model, data, 1, load)  # torques of the links alone
     data.qfrc_applied[:] = -friction(data.qpos, data.qvel, data.qacc, load)
 
-{firm}and what is measured of the drives is measured(torques of the drives).
+{rotors}{firm}and what is measured of the drives is measured(torques of the drives).
 """
 
 import math
@@ -89,6 +89,7 @@ BRISTLES = {bristles}  # rad over which dry friction turns over after a reversal
 DRY = {dry}  # N·m, the file's own dry friction
 PER_TORQUE = {per_torque}  # {measured} per N·m
 OFFSET = {offset}
+ARMATURE = {armature}  # kg·m², rotors that the file has no place for
 
 
 class Friction:
@@ -124,12 +125,20 @@ def measured(torque):
 '''
 
 
+ROTORS = """The file has no place for rotors; when it is loaded,
+
+    model.dof_armature[:] += ARMATURE
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+
+"""
+
+
 @dataclass(frozen=True, slots=True)
 class Beside:
     """Values by key that stand beside a file, constants (n,) in N·m/A or None for torques, joints by name.
 
     ``dry`` (n,) is the file's own dry friction, N·m; where it has to be ``firm`` and the format cannot say
-    so, the one who loads the file has to.
+    so, the one who loads the file has to. ``armature`` (n,) are rotors for which it has no place.
     """
 
     values: Mapping[str, float]
@@ -137,6 +146,7 @@ class Beside:
     joints: tuple[str, ...]
     dry: Sequence[float]
     firm: bool = False
+    armature: tuple[float, ...] = ()
 
     @property
     def unheld(self) -> tuple[str, ...]:
@@ -151,6 +161,8 @@ class Beside:
         per_torque = [g / k for g, k in zip(gain, constants, strict=True)]
         return TEXT.format(
             file=file,
+            rotors=ROTORS if any(self.armature) else "",
+            armature=_row(self.armature or [0.0] * n),
             firm=f"{FIRM.strip()}\n\n" if self.firm else "",
             joints=", ".join(f"{j} {name}" for j, name in enumerate(self.joints)),
             bristles=_row([self._of("presliding_friction.length", j) for j in range(n)]),

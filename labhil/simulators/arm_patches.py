@@ -64,6 +64,7 @@ class PatchedArm:
     text: XmlText
     left: Mapping[str, float]
     unsaid: bool
+    urdf: bool
 
 
 def patched_arm(
@@ -91,7 +92,8 @@ def patched_arm(
     Raises:
         UsageError: The file does not itself have what is to be changed.
     """
-    writer: ArmWriter = UrdfWriter(arm, text) if text.elements[0].tag == "robot" else MjcfWriter(arm, text)
+    urdf = text.elements[0].tag == "robot"
+    writer: ArmWriter = UrdfWriter(arm, text) if urdf else MjcfWriter(arm, text)
     own = np.concatenate(
         [moved(writer.inertial(j), -np.array(arm.model.jnt_pos[j])) for j in range(arm.tree.joints)]
     )
@@ -109,7 +111,7 @@ def patched_arm(
                 writer.set_joint(joint, name, 0.0)
     said = not firm or all(writer.stiffen(joint) for joint in range(arm.tree.joints))
     _set_bodies(arm, writer, own, bodies.inertial, payload)
-    return PatchedArm(text, {key: value for key, value in left.items() if value}, unsaid=not said)
+    return PatchedArm(text, {key: value for key, value in left.items() if value}, not said, urdf)
 
 
 def _set_bodies(

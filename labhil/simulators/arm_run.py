@@ -23,6 +23,7 @@ class Companion(Protocol):
 
     Friction: Callable[[], Callable[[FloatArray, FloatArray, FloatArray, FloatArray], FloatArray]]
     measured: Callable[[FloatArray], FloatArray]
+    ARMATURE: list[float]
 
 
 class ArmFileRun(ArmFileModel):
@@ -63,6 +64,10 @@ class ArmFileRun(ArmFileModel):
         arm = self.simulator.arm
         links = inverse(arm.quiet(), motion.q, motion.qd, motion.qdd)
         model = without_touching(arm.model)
+        if any(self._beside.ARMATURE):
+            mujoco = load_optional("mujoco", PURPOSE)
+            model.dof_armature[:] += self._beside.ARMATURE
+            mujoco.mj_setConst(model, mujoco.MjData(model))
         if self._firm:
             firm_friction(model, float(model.opt.timestep))
         whole = inverse(model, motion.q, motion.qd, motion.qdd)

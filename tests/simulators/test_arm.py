@@ -164,7 +164,8 @@ def test_a_diagnosis_is_put_into_the_file_and_mujoco_keeps_its_promise(
     assert fixed.companion is not None
     written = fixed.companion.read_text(encoding="utf-8")
     assert "load_dependent_friction of lift: tau = mu |tau_load| sgn qd" in written
-    assert ("added_inertia of lift" in written) == (name.endswith("urdf"))  # URDF has no rotors
+    # URDF has no rotors
+    assert ("model.dof_armature[:] += ARMATURE" in written) == (name.endswith("urdf"))
     assert "labhil." not in written
     assert json.dumps(fixed.to_dict())
     with pytest.raises(UsageError, match="nothing is overwritten"):
