@@ -21,6 +21,7 @@ from labhil.physics.arm.grouped import grouped
 from labhil.physics.arm.joint_laws import LAWS, JointMotion, directions
 from labhil.physics.arm.links import UR5, inertial_of, links_of
 from labhil.physics.arm.motion import Motion, PreparedRecord, as_it_is, cut_off_of, prepared, temperatures
+from labhil.physics.arm.own_parameters import TYPICAL_CONSTANT, own_parameters
 from labhil.physics.arm.rigid_body import PER_LINK, upright
 from labhil.physics.arm.view import Remembered, View
 from labhil.physics.extra_force import ExtraForce, MovedPart
@@ -28,9 +29,6 @@ from labhil.physics.model import Metric, Record, Windows, index_of
 from labhil.physics.terms import Parameter, Term, Yardstick, keyed
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
-
-TYPICAL_CONSTANT = 11.0
-"""N·m/A with the gear ratio: about 0.11 N·m/A at the motor times 101."""
 
 LOAD = "load_dependent_friction.coefficient"
 OFFSET = "sensor_offset.offset"
@@ -102,7 +100,8 @@ class ArmModel:
         self._known = {p.key: p.scale for term in everything.values() for p in term.known}
         self.never_seen = dict(NEVER_SEEN) | self._absent(everything, record is None or warm is not None)
         self.terms: Mapping[str, Term] = {k: t for k, t in everything.items() if k not in self.never_seen}
-        self.parameters = self._own() + tuple(p for term in self.terms.values() for p in term.parameters)
+        own = own_parameters(self.joints, self.first, known=bool(self.fixed))
+        self.parameters = own + tuple(p for term in self.terms.values() for p in term.parameters)
         self._index = index_of(self.parameters)
         self._six = {name: self._places(name) for name in {p.name for p in self.parameters}}
 
@@ -147,23 +146,6 @@ class ArmModel:
             for ready in map(self.prepare, record.recordings())
         ]
         return found[0] if len(found) == 1 else best_of(self.links, found)
-
-    def _own(self) -> tuple[Parameter, ...]:
-        """Torque constants and grouped inertial parameters, where they are to be estimated."""
-        constants = () if self.fixed else tuple(
-            Parameter("torque_constant", "N·m/A", TYPICAL_CONSTANT, 0.01, 1e3, starts=(TYPICAL_CONSTANT,),
-                      joint=joint)
-            for joint in range(self.joints)
-        )  # fmt: skip
-        if self.first is None:
-            return constants
-        sizes = np.maximum(np.abs(self.first.values), self.first.errors)
-        return constants + tuple(
-            Parameter(name, unit, float(size), starts=(float(value),), linear=True, joint=link)
-            for (name, unit, link), value, size in zip(
-                self.first.grouped.names(), self.first.values, sizes, strict=True
-            )
-        )
 
     @property
     def combinations(self) -> Mapping[str, str]:
