@@ -41,11 +41,13 @@ if TYPE_CHECKING:
     from labhil.api.verification import Verification, verify
     from labhil.experiment.bench import Bench
     from labhil.experiment.hooks import RunContext
+    from labhil.simulators.arm import ArmSimulator
     from labhil.simulators.fmu import fmu_simulator
     from labhil.simulators.mjcf import mujoco_simulator
     from labhil.simulators.simulator import Coordinate, Quantity, Simulator, simulator
 
 __all__ = [
+    "ArmSimulator",
     "Bench",
     "Comparison",
     "Coordinate",

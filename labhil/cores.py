@@ -1,8 +1,10 @@
-"""How many processor cores this process may use."""
+"""How many processor cores this process may use, and by what."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 
 def cores() -> int:
@@ -10,3 +12,20 @@ def cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+@contextmanager
+def linear_algebra_in_one_thread() -> Iterator[None]:
+    """Within it, linear algebra runs in the thread that asks for it, as far as ``threadpoolctl`` can say so.
+
+    Matrices of a fit have some thousand rows and some ten columns. Shared out, each of thousands of products
+    waits for threads that spin: on two busy cores a least-squares solution of 6000 × 60 numbers took 440 ms
+    of processor time instead of 7, and a diagnosis of an arm 37 s instead of 13.
+    """
+    try:
+        from threadpoolctl import threadpool_limits
+    except ImportError:
+        yield
+        return
+    with threadpool_limits(limits=1, user_api="blas"):
+        yield

@@ -33,6 +33,7 @@ WHERE = {
     "labhil.api.verification": ("Verification", "verify"),
     "labhil.experiment.bench": ("Bench",),
     "labhil.experiment.hooks": ("RunContext",),
+    "labhil.simulators.arm": ("ArmSimulator",),
     "labhil.simulators.fmu": ("fmu_simulator",),
     "labhil.simulators.mjcf": ("mujoco_simulator",),
     "labhil.simulators.simulator": ("Coordinate", "Quantity", "Simulator", "simulator"),

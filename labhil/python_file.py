@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import sys
 from pathlib import Path
+from types import ModuleType
 
 from labhil.errors import UsageError, suggestion
 
@@ -26,6 +27,16 @@ def object_of(stated: str, folder: Path) -> object:
     if not colon or not file.endswith(".py") or not name.isidentifier():
         raise UsageError(f"expected a Python file and a name in it, like bench.py:pendulum, found {stated!r}")
     path = (folder / file).resolve()
+    module = module_of(path)
+    names = [each for each in vars(module) if not each.startswith("_")]
+    if name not in names:
+        raise UsageError(f"{path}: has no {name!r}{suggestion(name, names)}")
+    found: object = getattr(module, name)
+    return found
+
+
+def module_of(path: Path) -> ModuleType:
+    """Run a Python file; UsageError where there is none, or it cannot be run."""
     if not path.is_file():
         raise UsageError(
             f"expected the Python file {path}, found none (paths are relative to the file that names them)"
@@ -38,8 +49,4 @@ def object_of(stated: str, folder: Path) -> object:
         spec.loader.exec_module(module)
     except Exception as error:
         raise UsageError(f"{path}: cannot be run: {type(error).__name__}: {error}") from error
-    names = [each for each in vars(module) if not each.startswith("_")]
-    if name not in names:
-        raise UsageError(f"{path}: has no {name!r}{suggestion(name, names)}")
-    found: object = getattr(module, name)
-    return found
+    return module

@@ -14,6 +14,7 @@ import numpy as np
 from labhil.analysis.results import Source
 from labhil.analysis.simulator_names import refuse_other_names
 from labhil.analysis.still import constant
+from labhil.cores import linear_algebra_in_one_thread
 from labhil.diagnose.fault import Fault
 from labhil.diagnose.intake import with_censored, without_spikes
 from labhil.diagnose.timing import all_faults, why_untimed
@@ -121,6 +122,7 @@ Taken = Path | Recording
 """A recording to work on: its file, or what was read of it."""
 
 
+@linear_algebra_in_one_thread()
 def load_material(
     path: Taken | Sequence[Taken],
     rig_file: Path | RigFile | None = None,

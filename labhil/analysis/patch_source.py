@@ -10,19 +10,24 @@ from typing import Any
 
 from labhil.documents import parse_json, read_document
 from labhil.errors import ModelFileError, UsageError
+from labhil.physics.terms import keyed
 
 DIAGNOSIS, FIT = "labhil.diagnosis/1", "labhil.fit/1"
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Values by name, the error that is promised on held-out data and its horizon (s), the recordings."""
+    """Values by key, the error that is promised on held-out data, the recordings.
+
+    ``horizon`` (s) is None for inverse dynamics. ``channels`` are the promised errors of each channel.
+    """
 
     values: Mapping[str, float]
     promised: float
-    horizon: float
+    horizon: float | None
     search: tuple[Path, ...]
     test: tuple[Path, ...]
+    channels: tuple[float, ...] = ()
 
 
 def read_found(path: Path) -> Found:
@@ -55,18 +60,19 @@ def read_found(path: Path) -> Found:
 def _found(data: Mapping[str, Any], path: Path) -> Found:
     if data["schema"] == DIAGNOSIS:
         rows, scored = data["final"]["parameters"], data["improvement"]
-        promised = scored["rmse_after"]
+        promised, name = scored["rmse_after"], "rmse_after"
     else:
         rows, scored = data["parameters"], data["test"]
-        promised = scored["rmse"]
+        promised, name = scored["rmse"], "rmse"
     tests = [row for row in data["recordings"] if row["role"] == "test"]
     others = [row for row in data["recordings"] if row["role"] != "test"]
     return Found(
-        {row["name"]: float(row["value"]) for row in rows},
+        {keyed(row["name"], row.get("joint")): float(row["value"]) for row in rows},
         float(promised),
-        float(scored["horizon"]),
+        None if scored["horizon"] is None else float(scored["horizon"]),
         _recordings(path, others),
         _recordings(path, tests),
+        tuple(float(row[name]) for row in scored["per_channel"]),
     )
 
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from labhil.analysis.arm_patching import patch_arm
 from labhil.analysis.material import Material, load_material
+from labhil.analysis.patch import KEPT, OTHERS, Attempt, Patch, difference, write
 from labhil.analysis.patch_source import Found, read_found
 from labhil.errors import UsageError
 from labhil.identify.score import Score, score
@@ -20,69 +21,16 @@ from labhil.rig import RigFile, default_rig, load_rig
 from labhil.rig_sections import ModelSection
 from labhil.simulators.companion import Left, companion, sorted_out
 from labhil.simulators.mjcf import describe
-from labhil.simulators.mjcf_file import Described
+from labhil.simulators.mjcf_file import Described, load_model
 from labhil.simulators.patches import Patched, patched, shorten_step, stiffen_friction
 from labhil.simulators.rolled_out import RolledOutModel
-from labhil.simulators.xml_text import Change, XmlText
-from labhil.whole import whole
-
-KEPT = 1.05
-"""Times the diagnosed model's error that the repaired file may make on the same held-out data."""
-
-OTHERS = 1.25
-"""Times the promised error beyond which file and data are not those that the diagnosis was made of."""
+from labhil.simulators.urdf_patches import firm_friction, patched_urdf, shorten_urdf_step
+from labhil.simulators.xml_text import XmlText
 
 FINER = (2, 4, 8)
 """Parts of the file's time step that are tried where its own is too long."""
 
 DRY = ("coulomb_friction", "static_friction", "position_dependent_friction", "load_dependent_friction")
-
-
-@dataclass(frozen=True, slots=True)
-class Attempt:
-    """A repaired file that was tried: what was done beside the values, its error, that over the model's."""
-
-    beside: str
-    rmse: float
-    ratio: float
-
-
-@dataclass(frozen=True, slots=True)
-class Patch:
-    """A repaired file, what was changed, and how it does on the held-out data.
-
-    ``promised`` is the error that the result states, ``model`` that of the diagnosed model on the windows on
-    which the file was run, ``before`` that of the file as it was; all in ``unit``.
-    """
-
-    path: Path
-    companion: Path | None
-    changes: tuple[Change, ...]
-    left: tuple[str, ...]
-    diff: str
-    promised: float
-    model: float
-    before: float
-    attempts: tuple[Attempt, ...]
-    unit: str
-
-    def to_dict(self) -> dict[str, Any]:
-        """The whole result as plain data (``labhil.patch/1``)."""
-        return {
-            "schema": "labhil.patch/1",
-            "path": str(self.path),
-            "companion": None if self.companion is None else str(self.companion),
-            "changes": [asdict(change) for change in self.changes],
-            "left": list(self.left),
-            "rmse_before": self.before,
-            "rmse_promised": self.promised,
-            "rmse_model": self.model,
-            "rmse_after": self.attempts[-1].rmse,
-            "ratio": self.attempts[-1].ratio,
-            "unit": self.unit,
-            "attempts": [asdict(attempt) for attempt in self.attempts],
-            "diff": self.diff,
-        }
 
 
 def patch(
@@ -115,7 +63,12 @@ def patch(
     for path in (out, code):
         if path.exists():
             raise UsageError(f"{path}: expected a new file, found one there; nothing is overwritten")
-    found, bench = read_found(result), Bench.of(into, rig_file)
+    found = read_found(result)
+    if load_model(into).njnt > 1:
+        return patch_arm(found, into, out, rig_file, holdout, progress)
+    if found.horizon is None:
+        raise UsageError(f"{result}: expected a simulation of {into}, found inverse dynamics of another file")
+    bench = Bench.of(into, rig_file)
     material = load_material(found.search, bench.rig, found.test or None, holdout)
     values = {**_known(bench.rig), **found.values}
     progress("scoring the diagnosed model on the held-out data")
@@ -130,14 +83,16 @@ def patch(
     for beside, candidate in _candidates(bench.described, into, values):
         progress(f"running the repaired file on the held-out data{beside and ', ' + beside}")
         left = sorted_out(candidate.left)
-        text = companion(left, out.name, bench.signal, bench.at_rest(candidate))
+        text = companion(left, out.name, bench.signal, bench.at_rest(candidate), firm=candidate.unsaid)
         rmse = _tried(bench, candidate, text, out, material, found.horizon)
         attempts.append(Attempt(beside, rmse, rmse / model.rmse))
         if attempts[-1].ratio <= KEPT and not left.unknown:
-            written = _write(candidate.text, text if candidate.left else "", out, code)
+            needed = bool(candidate.left) or candidate.unsaid
+            write(candidate.text, text if needed else "", out, code)
             return Patch(
-                out, code if candidate.left else None, tuple(candidate.text.changes),
-                tuple(candidate.left), written, found.promised, model.rmse, before, tuple(attempts),
+                out, code if needed else None, tuple(candidate.text.changes),
+                tuple(candidate.left), difference(candidate.text, out), found.promised, model.rmse, before,
+                tuple(attempts),
                 model.channels[0].unit if len(model.channels) == 1 else "noise floors",
             )  # fmt: skip
     raise UsageError(_refusal(into, attempts, model.rmse, left))
@@ -202,15 +157,19 @@ def _candidates(
     described: Described, into: Path, values: Mapping[str, float]
 ) -> Iterator[tuple[str, Patched]]:
     """The file with the values; then, for what MuJoCo's own steps leave, with firmer friction and finer."""
-    plain = patched(described, XmlText.read(into), values)
+    urdf = XmlText.read(into).elements[0].tag == "robot"
+    put, shorten = (patched_urdf, shorten_urdf_step) if urdf else (patched, shorten_step)
+    plain = put(described, XmlText.read(into), values)
     yield "", plain
-    rubs = any(change.attribute == "frictionloss" for change in plain.text.changes)
+    rubs = any(change.attribute in ("frictionloss", "friction") for change in plain.text.changes)
     for parts in (1, *FINER) if rubs else FINER:
-        candidate = patched(described, XmlText.read(into), values)
-        if rubs:
+        candidate = put(described, XmlText.read(into), values)
+        if rubs and urdf:
+            candidate = replace(candidate, unsaid=True)
+        elif rubs:
             stiffen_friction(described, candidate.text, parts)
         if parts > 1:
-            shorten_step(described, candidate.text, parts)
+            shorten(described, candidate.text, parts)
             candidate = replace(candidate, parts=parts)
         beside = ["firm dry friction"] * rubs + [f"steps of 1/{parts}"] * (parts > 1)
         yield " and ".join(beside), candidate
@@ -224,6 +183,8 @@ def _tried(
     try:
         draft.write_bytes(candidate.text.changed())
         described = _described(draft, bench.section, bench.described.simulator.name)
+        if candidate.unsaid:
+            firm_friction(described.model, described.mechanism.timestep)
         if sorted_out(candidate.left).forces:
             code.write_text(text, encoding="utf-8")
             push: Any = object_of(f"{code.name}:force", code.parent)
@@ -235,20 +196,6 @@ def _tried(
         for path in (draft, code):
             with suppress(OSError):
                 path.unlink(missing_ok=True)
-
-
-def _write(text: XmlText, beside: str, out: Path, code: Path) -> str:
-    """Write the file, and the one beside it; gives the difference of both to what was there."""
-    with whole(out) as draft:
-        draft.write_bytes(text.changed())
-    if beside:
-        with whole(code) as draft:
-            draft.write_text(beside, encoding="utf-8")
-    before, after = (
-        content.decode("utf-8", "replace").splitlines(keepends=True)
-        for content in (text.content, text.changed())
-    )
-    return "".join(difflib.unified_diff(before, after, str(text.path), str(out), n=1))
 
 
 def _refusal(into: Path, attempts: list[Attempt], model: float, left: Left) -> str:

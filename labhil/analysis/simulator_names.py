@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from difflib import SequenceMatcher
 
 from labhil.errors import RecordingError
+from labhil.kinds import RigKind
 from labhil.recording.reader import Recording
 from labhil.rig import RigFile
 from labhil.signals import Direction
@@ -24,6 +25,8 @@ def refuse_other_names(recording: Recording, rig: RigFile) -> None:
     if any(needed <= set(data.stream.names()) for data in recording.streams):
         return
     has = names_of(load_model(rig.path.parent / section.mujoco))
+    if kind.inputs[0].width > 1:
+        raise RecordingError(_of_arm(recording, section.mujoco, has, kind))
     signals = [signal for data in recording.streams for signal in data.stream.signals if signal.width == 1]
     inputs = [signal.name for signal in signals if signal.direction is Direction.INPUT]
     outputs = [signal.name for signal in signals if signal.direction is Direction.OUTPUT]
@@ -31,6 +34,20 @@ def refuse_other_names(recording: Recording, rig: RigFile) -> None:
     raise RecordingError(
         f"{recording.path}: expected the signals {', '.join(sorted(needed))} of {section.mujoco}, found "
         f"{found}; the file has {has.listed()}.{proposal(section.mujoco, has, inputs, outputs)}"
+    )
+
+
+def _of_arm(recording: Recording, file: str, has: Names, kind: RigKind) -> str:
+    """What is said of a recording that is none of an arm, with the lines that make it one."""
+    every = [signal.name for data in recording.streams for signal in data.stream.signals]
+    found = ", ".join(map(printable_name, every)) or "none"
+    n = len(has.joints)
+    needed = (*(signal.name for signal in kind.inputs), kind.outputs[0].name)
+    lines = "\n".join(f"{name} = {{ columns = [{', '.join(['…'] * n)}] }}" for name in needed)
+    return (
+        f"{recording.path}: expected the signals {', '.join(needed)} with {n} columns each "
+        f"({', '.join(has.joints)}) for {file}, found {found}. Import the table anew with a rig file "
+        f"that says which columns these are:\n[model]\nmujoco = {toml_value(file)}\n[channels]\n{lines}"
     )
 
 

@@ -12,6 +12,7 @@ from labhil.analysis.material import Material
 from labhil.analysis.results import Reference, accepted_of, diagnosis_json, fit_json, terms_of, values_of
 from labhil.analysis.schema import DiagnosisPart, FitPart, checked
 from labhil.analysis.still import refuse_still
+from labhil.cores import linear_algebra_in_one_thread
 from labhil.diagnose.answer import Diagnosis
 from labhil.diagnose.diagnosis import diagnose
 from labhil.errors import OptionError, UnknownNameError, UsageError
@@ -21,6 +22,7 @@ from labhil.identify.windows import FEWEST_IN_WINDOW
 from labhil.physics.model import Model, index_of, terms_named
 from labhil.physics.rigs import rig_model
 from labhil.physics.several import for_every_recording
+from labhil.simulators.arm import ArmFileModel
 from labhil.simulators.model import SimulatorModel
 
 Progress = Callable[[str], None]
@@ -54,6 +56,7 @@ class DiagnosisResult:
         return checked(DiagnosisPart, self.json, "the diagnosis")
 
 
+@linear_algebra_in_one_thread()
 def fit_study(
     material: Material,
     *,
@@ -77,7 +80,7 @@ def fit_study(
     model = under_kept_curve(material.model, start)
     chosen = terms
     if chosen is None:
-        chosen = terms_of(start) if start is not None else rig_model(model.kind).general
+        chosen = terms_of(start) if start is not None else _shown(model, rig_model(model.kind).general)
     chosen = _with_own(model, chosen, stated=bool(terms))
     if not chosen and all(parameter.term is not None for parameter in model.parameters):
         raise OptionError("terms", f": expected one at least, since all else of this {model.kind} is known")
@@ -116,6 +119,7 @@ def _with_own(model: Model, terms: Sequence[str], *, stated: bool) -> tuple[str,
     return (*terms, *further)
 
 
+@linear_algebra_in_one_thread()
 def diagnose_study(
     material: Material,
     *,
@@ -131,7 +135,9 @@ def diagnose_study(
     values = _reference_values(material, reference)
     chosen = baseline
     if chosen is None:
-        chosen = terms_of(reference) if reference is not None else rig_model(model.kind).baseline
+        chosen = (
+            terms_of(reference) if reference is not None else _shown(model, rig_model(model.kind).baseline)
+        )
     terms_named(model, chosen)
     with material.naming():
         diagnosis = diagnose(
@@ -153,6 +159,12 @@ def diagnose_study(
     return DiagnosisResult(diagnosis, material, data)
 
 
+def _shown(model: Model, names: Sequence[str]) -> tuple[str, ...]:
+    """Of terms that nobody asked for, those that this recording can show."""
+    there = {term.name for term in model.terms.values()}
+    return tuple(name for name in names if name in there or name not in model.never_seen)
+
+
 def _held_out(material: Material) -> list[list[float]]:
     """Which stretch of each recording was held out of it, s; none where whole recordings were."""
     if material.judge_is_test or not material.held_out:
@@ -164,7 +176,7 @@ def _reference_values(material: Material, reference: Reference | None) -> Mappin
     if reference is not None:
         return for_every_recording(material.model, values_of(reference))
     known = index_of(material.model.parameters)
-    own = material.model.nominal if isinstance(material.model, SimulatorModel) else {}
+    own = material.model.nominal if isinstance(material.model, (ArmFileModel, SimulatorModel)) else {}
     own = {name: value for name, value in own.items() if name in known}
     nominal = for_every_recording(material.model, material.rig.nominal or own)
     for name, value in nominal.items():

@@ -17,7 +17,7 @@ from labhil.extras import require_analysis
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
-    from labhil.analysis.patching import Patch
+    from labhil.analysis.patch import Patch
     from labhil.analysis.results import SavedModel
     from labhil.analysis.schema import Parameters, Source
 

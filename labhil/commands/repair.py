@@ -12,7 +12,7 @@ from labhil.console import deliver, refuse_unwritable
 from labhil.terminal import show, status
 
 if TYPE_CHECKING:
-    from labhil.analysis.patching import Patch
+    from labhil.analysis.patch import Patch
 
 
 def add_repair(app: typer.Typer) -> None:
@@ -28,7 +28,7 @@ def patch(
         Path, typer.Argument(metavar="RESULT.json", help="The JSON of a diagnosis or a fit of that file.")
     ],
     *,
-    into: Annotated[Path, typer.Option(help="The MuJoCo file that was diagnosed.")],
+    into: Annotated[Path, typer.Option(help="The MJCF or URDF file that was diagnosed.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="The new file; nothing is overwritten.")],
     rig: Annotated[Path | None, typer.Option(help="The rig file of the diagnosis, where it had one.")] = None,
     holdout: Annotated[float, typer.Option(help="Share that the diagnosis held out at the end.")] = 0.3,
@@ -60,5 +60,11 @@ def _show(found: Patch) -> None:
         f"On held-out data, run by MuJoCo itself: RMSE {found.before:.4g} → {last.rmse:.4g} {found.unit}, "
         f"{last.ratio:.3f} times the diagnosed model's {found.model:.4g}{beside}."
     )
+    lines += [
+        f"  {j.name}: {j.before:.4g} → {j.after:.4g} {j.unit}, the diagnosed model {j.model:.4g}"
+        for j in found.joints
+    ]
+    if found.unheld:
+        lines.append(f"Neither file nor companion holds {', '.join(found.unheld)}; both were run without.")
     lines += [f"  {each.beside or 'values alone'}: {each.ratio:.3f} times" for each in found.attempts[:-1]]
     show(*lines)

@@ -84,6 +84,14 @@ SENSORS: Mapping[str, Law] = {
 }
 
 
+FIRM = """
+The file's dry friction has to hold firmly, which its format cannot say; when it is loaded,
+
+    model.dof_solref[:] = 2.0 * model.opt.timestep, 1.0
+    model.dof_solimp[:, :3] = 0.99, 0.999, 0.001
+"""
+
+
 class Left(NamedTuple):
     """Effects that are written into a companion, by where they act, each with its numbers."""
 
@@ -107,7 +115,7 @@ def sorted_out(values: Mapping[str, float]) -> Left:
     )
 
 
-def companion(left: Left, file: str, signal: str, at_rest: float) -> str:
+def companion(left: Left, file: str, signal: str, at_rest: float, *, firm: bool = False) -> str:
     """Write the Python file.
 
     Args:
@@ -115,6 +123,7 @@ def companion(left: Left, file: str, signal: str, at_rest: float) -> str:
         file: The repaired file that it belongs to.
         signal: What its input is called.
         at_rest: Velocity below which dry friction counts as holding, SI.
+        firm: Whether dry friction of the file has to hold firmly, which its format cannot say.
 
     Returns:
         The text.
@@ -135,6 +144,7 @@ def companion(left: Left, file: str, signal: str, at_rest: float) -> str:
         "In each step of the simulation:",
         "",
         *(f"    {use}" for use in uses if use),
+        *(FIRM.splitlines() if firm else []),
         '"""',
         "",
         "import math",

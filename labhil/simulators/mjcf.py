@@ -10,6 +10,7 @@ import numpy as np
 
 from labhil.errors import UsageError, suggestion
 from labhil.extras import load_optional
+from labhil.simulators.arm import ArmSimulator, arm_simulator
 from labhil.simulators.mechanism import PURPOSE, RUBS, Field, Mechanism, Value, read_value
 from labhil.simulators.mjcf_file import Described, Names, load_model, names_of
 from labhil.simulators.mjcf_unheld import notes_on, refuse_unheld, sensor_delay
@@ -27,20 +28,25 @@ def mujoco_simulator(
     inputs: Mapping[str, str] | None = None,
     outputs: Mapping[str, str] | None = None,
     name: str = "",
-) -> Simulator:
+) -> Simulator | ArmSimulator:
     """Take a MuJoCo file for a simulator; the whole catalogue of effects is then there for it.
 
-    The file has one hinge or slide joint. Its spring, armature, masses and the gains of its actuator are
-    parameters where they are not 0, and start at what the file says. Those that a recording cannot tell from
-    others stay at that. Its damping and dry friction are the effects viscous_friction and coulomb_friction,
-    with which a diagnosis begins.
+    A file with several hinges is an arm: its motion is the input (``actual_q``, ``actual_qd``, a column for
+    each joint), and the torques or currents of its drives are the output, by inverse dynamics. Masses, mass
+    centres and inertias that a recording can tell from the file's are estimated.
+
+    A file with one hinge or slide joint is simulated. Its spring, armature, masses and the gains of its
+    actuator are parameters where they are not 0, and start at what the file says. Those that a recording
+    cannot tell from others stay at that. Its damping and dry friction are the effects viscous_friction and
+    coulomb_friction, with which a diagnosis begins.
 
     Args:
         path: The file: MJCF, or URDF as far as MuJoCo loads it.
         inputs: Actuator by the name of the recorded signal, or the joint where a torque or force is recorded
-            that no actuator stands for. The only actuator by its own name when absent.
+            that no actuator stands for. The only actuator by its own name when absent. Of an arm: nothing.
         outputs: Joint or ``jointpos``/``jointvel`` sensor by the name of the recorded signal. The sensors by
-            their own names when absent, the joint by its own where there are none.
+            their own names when absent, the joint by its own where there are none. Of an arm: what the one
+            measured signal is, ``"current"`` or ``"torque"``; ``{"actual_current": "current"}`` when absent.
         name: What the rig is called; the file's model name when absent.
 
     Returns:
@@ -58,6 +64,8 @@ def mujoco_simulator(
         >>> sorted(arm.parameters)
         ['gear', 'rod_mass']
     """
+    if load_model(Path(path)).njnt > 1:
+        return arm_simulator(Path(path), inputs, outputs, name)
     return describe(Path(path), inputs, outputs, name).simulator
 
 

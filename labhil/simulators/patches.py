@@ -23,12 +23,14 @@ beside the file gives it back as the joint moves (see ``simulators.companion``).
 class Patched:
     """A file's text with its changes, and the values of effects that no attribute stands for.
 
-    Its time step is the file's, cut into ``parts``.
+    Its time step is the file's, cut into ``parts``. Where dry friction has to be firm and the format cannot
+    say so, that is ``unsaid``.
     """
 
     text: XmlText
     left: Mapping[str, float]
     parts: int = 1
+    unsaid: bool = False
 
 
 def number(value: float) -> str:
@@ -52,22 +54,32 @@ def patched(described: Described, text: XmlText, values: Mapping[str, float]) ->
     """
     if text.elements[0].tag != "mujoco":
         raise UsageError(
-            f"{text.path}: expected an MJCF file (<mujoco>), found <{text.elements[0].tag}>; save it "
-            "as MJCF with mujoco.mj_saveLastXML first"
+            f"{text.path}: expected an MJCF file (<mujoco>) or URDF (<robot>), found <{text.elements[0].tag}>"
         )
     own = {value.name: value for value in described.mechanism.values}
-    rubs = {name: 0.0 for field, name in RUBS.items() if read_value(described.model, field, 0) != 0.0}
-    left = rubs | dict(values)  # friction of the file that the result does without is taken out
-    held = sum(left.get(name, 0.0) for name in HOLDING)
-    if held:
-        left[RUBS[Field.FRICTIONLOSS]] = left.get(RUBS[Field.FRICTIONLOSS], 0.0) + held
+    left = with_holding(described, values)
     for name, value in own.items():
         if name in left:
             _set_own(described, text, value, left.pop(name))
     for name, put in EFFECTS.items():
         if name in left and put(described, text, left[name]):
             del left[name]
-    return Patched(text, {name: value for name, value in left.items() if value and _acts(name, left)})
+    return Patched(text, without_shapes(left))
+
+
+def with_holding(described: Described, values: Mapping[str, float]) -> dict[str, float]:
+    """Values with dry friction that holds with all of it; what the file has beside them is taken out."""
+    rubs = {name: 0.0 for field, name in RUBS.items() if read_value(described.model, field, 0) != 0.0}
+    left = rubs | dict(values)
+    held = sum(left.get(name, 0.0) for name in HOLDING)
+    if held:
+        left[RUBS[Field.FRICTIONLOSS]] = left.get(RUBS[Field.FRICTIONLOSS], 0.0) + held
+    return left
+
+
+def without_shapes(left: Mapping[str, float]) -> dict[str, float]:
+    """Values that do something."""
+    return {name: value for name, value in left.items() if value and _acts(name, left)}
 
 
 def _acts(name: str, values: Mapping[str, float]) -> bool:
@@ -82,9 +94,13 @@ def _acts(name: str, values: Mapping[str, float]) -> bool:
 
 def stiffen_friction(described: Described, text: XmlText, parts: int = 1) -> None:
     """Let MuJoCo's dry friction hold as firmly as its time step, cut into parts, allows."""
-    joint = _joint(described, text)
+    stiffen_element(text, _joint(described, text), described.mechanism.timestep / parts)
+
+
+def stiffen_element(text: XmlText, joint: Element, step: float) -> None:
+    """The same of one joint's element, for steps of so many seconds."""
     why = "dry friction as firm as the time step allows"
-    text.set(joint, "solreffriction", f"{number(2.0 * described.mechanism.timestep / parts)} 1", why)
+    text.set(joint, "solreffriction", f"{number(2.0 * step)} 1", why)
     text.set(joint, "solimpfriction", "0.99 0.999 0.001", why)
 
 
@@ -113,7 +129,7 @@ def _set_own(described: Described, text: XmlText, value: Value, new: float) -> N
         case Field.MASS:
             _set_mass(described, text, value.of, new / old, why)
         case Field.GEAR:
-            _set_part(text, _actuator(described, text), "gear", 0, new, described.gear, why)
+            set_part(text, _actuator(described, text), "gear", 0, new, described.gear, why)
         case Field.KP | Field.KV:
             _set_gain(text, _actuator(described, text), value.field.value, new, why)
         case _:
@@ -137,10 +153,10 @@ def _set_of_joint(described: Described, text: XmlText, field: Field, new: float,
     attribute, place = poly[field]
     now = text.current(joint, attribute)
     has = [read_value(model, f, 0) for f in poly] if now is None else [float(x) for x in now.split()]
-    _set_part(text, joint, attribute, place, new, has, why)
+    set_part(text, joint, attribute, place, new, has, why)
 
 
-def _set_part(
+def set_part(
     text: XmlText, element: Element, attribute: str, place: int, new: float, has: list[float], why: str
 ) -> None:
     """One of several numbers of an attribute; zeros at the end are left out."""

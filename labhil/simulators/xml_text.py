@@ -29,12 +29,12 @@ class Element:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """One attribute that is changed: of which element, from what (None: absent) to what, and why."""
+    """One attribute that is changed: of which element, from what to what (None: absent), and why."""
 
     element: str
     attribute: str
     before: str | None
-    after: str
+    after: str | None
     why: str
 
 
@@ -46,7 +46,7 @@ class XmlText:
     content: bytes
     elements: list[Element]
     changes: list[Change] = field(default_factory=list)
-    _wanted: dict[int, dict[str, str]] = field(default_factory=dict)
+    _wanted: dict[int, dict[str, str | None]] = field(default_factory=dict)
     _added: dict[int, list[str]] = field(default_factory=dict)
 
     @classmethod
@@ -82,10 +82,28 @@ class XmlText:
         self._wanted.setdefault(element.number, {})[attribute] = value
         self.changes.append(Change(element.called(), attribute, before, value, why))
 
+    def drop(self, element: Element, attribute: str, why: str) -> None:
+        """Ask for an attribute to be taken away; one that is absent is no change."""
+        before = self.current(element, attribute)
+        if before is not None:
+            self._wanted.setdefault(element.number, {})[attribute] = None
+            self.changes.append(Change(element.called(), attribute, before, None, why))
+
     def add(self, parent: Element, line: str, why: str) -> None:
         """Ask for one more element, as text, before all others in a parent."""
         self._added.setdefault(parent.number, []).append(line)
         self.changes.append(Change(parent.called(), "", None, line, why))
+
+    def add_attribute_of_new(self, parent: Element, tag: str, attribute: str, value: str, why: str) -> None:
+        """Ask for an attribute of an element that is not there yet; of several, one element takes all."""
+        begun = f"<{tag} "
+        lines = self._added.setdefault(parent.number, [])
+        place = next((k for k, line in enumerate(lines) if line.startswith(begun)), None)
+        if place is None:
+            lines.append(f'{begun}{attribute}="{value}"/>')
+        else:
+            lines[place] = lines[place].replace("/>", f' {attribute}="{value}"/>')
+        self.changes.append(Change(f"{parent.called()}/<{tag}>", attribute, None, value, why))
 
     def current(self, element: Element, attribute: str) -> str | None:
         """What an attribute has, changes included; None where it is absent."""
@@ -99,7 +117,7 @@ class XmlText:
             element = self.elements[number]
             tag = content[element.first : element.last]
             for attribute, value in self._wanted.get(number, {}).items():
-                tag = _with_attribute(tag, attribute, value)
+                tag = _without(tag, attribute) if value is None else _with_attribute(tag, attribute, value)
             for line in self._added.get(number, ()):
                 tag += self._indent(element) + line.encode()
             content = content[: element.first] + tag + content[element.last :]
@@ -139,6 +157,11 @@ def _end_of_tag(content: bytes, first: int) -> int:
     """Behind the > that ends a start tag; one inside of quotes does not."""
     match = re.compile(rb"""<(?:[^>"']|"[^"]*"|'[^']*')*>""").match(content, first)
     return len(content) if match is None else match.end()
+
+
+def _without(tag: bytes, name: str) -> bytes:
+    """A start tag without an attribute, and without the space before it."""
+    return re.sub(rb"\s+" + re.escape(name.encode()) + rb"\s*=\s*(\"[^\"]*\"|'[^']*')", b"", tag, count=1)
 
 
 def _with_attribute(tag: bytes, name: str, value: str) -> bytes:

@@ -15,6 +15,7 @@ from labhil.public import MODULE_OF, MODULES, public
 ROOT = Path(__file__).parents[2]
 
 NAMES = [
+    "ArmSimulator",
     "Bench",
     "Comparison",
     "Coordinate",

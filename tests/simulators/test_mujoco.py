@@ -31,7 +31,9 @@ CART = """<mujoco model="cart">
   <sensor><jointvel name="tacho" joint="rail"/><jointpos name="scale" joint="rail"/></sensor>
 </mujoco>
 """
-TWO = FILE.replace("</body>\n  </w", '</body><body name="b"><joint name="j"/><geom size="1"/></body>\n  </w')
+TWO = FILE.replace(
+    "</body>\n  </w", '</body><body name="b"><joint name="j" type="slide"/><geom size="1"/></body>\n  </w'
+)
 LAGGED = FILE.replace(
     '<motor name="motor" joint="hinge"/>',
     '<general name="motor" joint="hinge" dyntype="filter" dynprm="0.1"/>',
@@ -113,7 +115,7 @@ def test_every_value_that_may_be_fitted_reaches_the_simulation(tmp_path: Path) -
         ),
         (FILE, {"outputs": {"angle": "tacho"}}, "sensors of position or velocity: encoder"),
         (FILE, {"inputs": {}}, "expected one signal, found none"),
-        (TWO, {}, "expected one hinge or slide joint .* found 2 degrees of freedom .*joints: hinge, j;"),
+        (TWO, {}, "expected one hinge or slide joint, or several hinges, found 2 .*joints: hinge, j;"),
         (LAGGED, {}, "expected actuators without a state of their own"),
         ("<mujoco><worldbody>", {}, "expected a file that MuJoCo loads .*XML"),
     ],
@@ -241,3 +243,14 @@ def test_a_step_with_a_jump_is_refused(tmp_path: Path) -> None:
         lh.simulator(
             step, kind="stride", name="s", states={"a": "1", "b": "1"}, inputs={"u": "1"}, parameters={}
         )  # type: ignore[arg-type]
+
+
+def test_a_term_that_the_files_own_values_stand_for_is_not_asked_for_by_default(tmp_path: Path) -> None:
+    """A DC motor's back-EMF is damping: with mass and gear free, more of it cannot be told."""
+    motor = '<dcmotor name="motor" joint="hinge" motorconst="0.3" resistance="2"/>'
+    rig = bench(tmp_path, FILE.replace('<motor name="motor" joint="hinge"/>', motor))
+    run = recorded(rig, seed=5, seconds=4.0)
+    model = lh.fit(run, rig)
+    assert "viscous_friction" not in model.to_dict()["terms"]
+    with pytest.raises(UsageError, match="viscous_friction: this recording cannot show it"):
+        lh.fit(run, rig, terms=["viscous_friction"])

@@ -10,7 +10,8 @@ import mujoco
 import pytest
 
 import labhil as lh
-from labhil.analysis.patching import KEPT, patch
+from labhil.analysis.patch import KEPT
+from labhil.analysis.patching import patch
 from labhil.errors import ModelFileError, UsageError
 from labhil.simulators.companion import companion, sorted_out
 from labhil.simulators.mjcf import describe

@@ -37,9 +37,10 @@ class Sizes:
     def of(cls, record: Record | None, torque_constant: FloatArray) -> Sizes:
         """Take them from a record; those of a UR5 in brisk motion where there is none."""
         if record is None:
-            torque = np.array([15.0, 40.0, 20.0, 4.0, 4.0, 2.0])
-            return cls(torque, torque / torque_constant, np.full(JOINTS, 0.5), np.ones(JOINTS))
-        qd = record.inputs[:, JOINTS : 2 * JOINTS]
+            torque = np.resize([15.0, 40.0, 20.0, 4.0, 4.0, 2.0], len(torque_constant))
+            return cls(torque, torque / torque_constant, np.full(len(torque), 0.5), np.ones(len(torque)))
+        joints = record.outputs.shape[1]
+        qd = record.inputs[:, joints : 2 * joints]
         current = np.maximum(_rms(record.outputs), 1e-3)
         speed = np.maximum(_rms(qd), 0.02)
         return cls(current * torque_constant, current, speed, 2.0 * speed)
@@ -49,13 +50,15 @@ def _rms(columns: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.mean(columns**2, axis=0)))
 
 
-def catalogue(sizes: Sizes, gear_ratio: Sequence[float]) -> dict[str, Term]:
-    """All terms by key, of joints with these ratios (6,) of their gears."""
-    terms = [
-        term
-        for joint, ratio in enumerate(gear_ratio)
-        for term in (*friction(sizes, joint), ripple(sizes, joint, CYCLES * ratio), *drive(sizes, joint))
-    ]
+def catalogue(sizes: Sizes, gear_ratio: Sequence[float | None], unit: str = "A") -> dict[str, Term]:
+    """All terms by key, of joints with these ratios (n,) of their gears; outputs have this ``unit``.
+
+    Where a ratio is not known, nobody knows how often its torque repeats in a turn.
+    """
+    terms = []
+    for joint, ratio in enumerate(gear_ratio):
+        rippling = () if ratio is None else (ripple(sizes, joint, CYCLES * ratio),)
+        terms += [*friction(sizes, joint), *rippling, *drive(sizes, joint, unit)]
     return {term.key: term for term in (*terms, *whole_arm())}
 
 
@@ -153,7 +156,7 @@ def ripple(sizes: Sizes, joint: int, order: float) -> Term:
     )  # fmt: skip
 
 
-def drive(sizes: Sizes, joint: int) -> tuple[Term, ...]:
+def drive(sizes: Sizes, joint: int, unit: str) -> tuple[Term, ...]:
     """What else is in one joint: rotor, spring of the gear, current measurement."""
     torque, current = float(sizes.torque[joint]), float(sizes.current[joint])
     compliance = 2e-3 / torque
@@ -171,7 +174,7 @@ def drive(sizes: Sizes, joint: int) -> tuple[Term, ...]:
         _one("sensor_offset", joint, Enters.OUTPUT,
              ("an offset of the measured current", "i = τ/K + i_0",
               "standard; a constant torque is the same", "motion both ways"),
-             Parameter("sensor_offset.offset", "A", SHARE * current, linear=True, joint=joint)),
+             Parameter("sensor_offset.offset", unit, SHARE * current, linear=True, joint=joint)),
         _one("torque_constant", joint, Enters.OUTPUT,
              ("a torque constant that is not the one assumed", "i = (1 + g)·τ/K + i_0",
               "the known inertias are the reference", "large torques"),

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labhil.kinds import JOINTS
 from labhil.physics.arm.grouped import memory
 from labhil.physics.model import Record
 from labhil.signals import FloatArray
@@ -49,9 +48,9 @@ class ControllerConstants:
 
 def controller_constants(record: Record) -> ControllerConstants | None:
     """What planned torques and currents tell; None where they are not recorded, or tell too little."""
-    found = [_of_joint(record, joint) for joint in range(JOINTS)]
+    found = [_of_joint(record, joint) for joint in range(record.outputs.shape[1])]
     known = [each for each in found if each is not None]
-    if len(known) < JOINTS:
+    if len(known) < len(found):
         return None
     value, error = np.array(known).T
     return ControllerConstants(value, error)

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labhil.kinds import JOINTS
+from labhil.physics.arm.chain import Chain
 from labhil.physics.arm.grouped import Grouped, NormalEquations, grouped, memory, significant
-from labhil.physics.arm.links import Links
 from labhil.physics.arm.motion import PreparedRecord
 from labhil.physics.arm.rigid_body import upright
 from labhil.physics.arm.view import View
@@ -26,44 +25,66 @@ PASSES = 2
 
 @dataclass(frozen=True, slots=True)
 class FirstEstimate:
-    """Grouped parameters that a record shows, with values (P,) and standard errors (P,), SI."""
+    """Grouped parameters that a record shows, with values (P,) and standard errors (P,), SI.
+
+    ``begin`` are inertial parameters that the estimate departs from: what a record does not show stays.
+    """
 
     grouped: Grouped
     values: FloatArray
     errors: FloatArray
+    begin: FloatArray
+
+    @property
+    def begun(self) -> FloatArray:
+        """What the grouped parameters are before anything is estimated, (P,)."""
+        return np.asarray(self.grouped.shares @ self.begin)
+
+    def inertial(self, values: FloatArray) -> FloatArray:
+        """All inertial parameters with these values (P,) of the grouped ones."""
+        return self.begin + self.grouped.embedded(values - self.begun)
 
 
 def first_estimate(
-    links: Links, record: PreparedRecord, motion_view: View, torque_constant: FloatArray
+    links: Chain,
+    record: PreparedRecord,
+    motion_view: View,
+    torque_constant: FloatArray,
+    laws: Sequence[str] = LAWS,
 ) -> FirstEstimate:
     """Least squares of the currents on the rigid body, friction and offsets of each joint.
 
-    ``torque_constant`` (6,) N·m/A. Friction that grows with the load joins in once a load is known.
+    ``torque_constant`` (6,) N·m/A. Friction that grows with the load joins in once a load is known. What acts
+    just as one of the joints' ``laws`` is left to that.
     """
     motion = record.motion
     judged = motion.judged[record.places] if motion is not None else np.ones(record.outputs.shape, dtype=bool)
     everything = grouped(links)
-    rigid = motion_view.rigid(upright(), 0.0)[:, :, list(everything.kept)] / torque_constant[None, :, None]
-    others = _joint_columns(motion_view, None, torque_constant)
+    full = motion_view.rigid(upright(), 0.0)
+    measured = record.outputs - full @ links.begin / torque_constant
+    rigid = full[:, :, list(everything.kept)] / torque_constant[None, :, None]
+    others = _joint_columns(motion_view, None, torque_constant, laws)
     columns = np.concatenate([rigid, others], axis=2)
     own = len(everything.kept)
     values = np.zeros(own)
     chosen = list(range(own))
     for _ in range(PASSES):
-        equations = NormalEquations.of(columns, record.outputs, judged)
+        equations = NormalEquations.of(columns, measured, judged)
         found, _ = equations.solved(list(range(columns.shape[2])))
-        inflation = memory((record.outputs - columns @ found) * judged)
+        inflation = memory((measured - columns @ found) * judged)
         chosen = significant(equations, own, inflation)
         kept = chosen + list(range(own, columns.shape[2]))
         found, covariance = equations.solved(kept)
         values = found[: len(chosen)]
-        inertial = everything.only(chosen).embedded(values)
-        columns = np.concatenate([rigid, _joint_columns(motion_view, inertial, torque_constant)], axis=2)
+        inertial = links.begin + everything.only(chosen).embedded(values)
+        others = _joint_columns(motion_view, inertial, torque_constant, laws)
+        columns = np.concatenate([rigid, others], axis=2)
     errors = np.sqrt(inflation * np.maximum(np.diag(covariance), 0.0))[: len(chosen)]
-    return FirstEstimate(everything.only(chosen), values, errors)
+    own_only = everything.only(chosen)
+    return FirstEstimate(own_only, values + own_only.shares @ links.begin, errors, links.begin)
 
 
-def best_of(links: Links, found: Sequence[FirstEstimate]) -> FirstEstimate:
+def best_of(links: Chain, found: Sequence[FirstEstimate]) -> FirstEstimate:
     """What several recordings show, each by itself: they may differ in what the arm carries.
 
     Whatever one of them can tell is among it, as the one that knows it best has it.
@@ -76,18 +97,20 @@ def best_of(links: Links, found: Sequence[FirstEstimate]) -> FirstEstimate:
     everything = grouped(links)
     chosen = [i for i, column in enumerate(everything.kept) if column in known]
     values, errors = zip(*(known[everything.kept[i]] for i in chosen), strict=True) if chosen else ((), ())
-    return FirstEstimate(everything.only(chosen), np.array(values), np.array(errors))
+    return FirstEstimate(everything.only(chosen), np.array(values), np.array(errors), links.begin)
 
 
-def _joint_columns(view: View, inertial: FloatArray | None, torque_constant: FloatArray) -> FloatArray:
+def _joint_columns(
+    view: View, inertial: FloatArray | None, torque_constant: FloatArray, laws: Sequence[str]
+) -> FloatArray:
     """Friction and offset of each joint (n, 6, k): a joint's columns are zero for all others."""
     blocks = []
-    for joint in range(JOINTS):
-        own = [view.law(joint, name, 0.0, 0.0, 0.0) / torque_constant[joint] for name in LAWS]
+    for joint in range(len(torque_constant)):
+        own = [view.law(joint, name, 0.0, 0.0, 0.0) / torque_constant[joint] for name in laws]
         if inertial is not None:
             own.append(view.load(joint, 0.0, inertial, upright(), 0.0) / torque_constant[joint])
         own.append(np.ones(len(own[0])))
-        block = np.zeros((len(own[0]), JOINTS, len(own)))
+        block = np.zeros((len(own[0]), len(torque_constant), len(own)))
         block[:, joint] = np.column_stack(own)
         blocks.append(block)
     return np.concatenate(blocks, axis=2)

@@ -1,10 +1,10 @@
 """Rigid-body parameters that motion can tell where no masses are known: grouped inertial parameters.
 
-Of an arm's 60 inertial parameters some have no effect and some act only together (Gautier 1990). A pivoted
-QR decomposition of the regressor of random motions finds a smallest set of columns that span all others;
-each kept parameter then stands for itself plus a fixed combination of those left out. Those that a given
-record cannot tell from zero are left out as well, the least significant first, as long as any is: they
-would carry noise to other motions.
+Of an arm's inertial parameters (60 of six joints) some have no effect and some act only together (Gautier
+1990). A pivoted QR decomposition of the regressor of random motions finds a smallest set of columns that
+span all others; each kept parameter then stands for itself plus a fixed combination of those left out.
+Those that a given record cannot tell from zero are left out as well, the least significant first, as long
+as any is: they would carry noise to other motions.
 """
 
 from __future__ import annotations
@@ -15,9 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from labhil.kinds import JOINTS
-from labhil.physics.arm.links import PER_LINK, Links
-from labhil.physics.arm.rigid_body import regressor, upright
+from labhil.physics.arm.chain import Chain
+from labhil.physics.arm.rigid_body import PER_LINK, upright
 from labhil.signals import FloatArray
 
 KINDS = (
@@ -71,7 +70,7 @@ class Grouped:
 
     def embedded(self, values: FloatArray) -> FloatArray:
         """Inertial parameters (60,) that act like these ``values`` (P,), everything else zero."""
-        out = np.zeros(JOINTS * PER_LINK)
+        out = np.zeros(self.shares.shape[1])
         out[list(self.kept)] = values
         return out
 
@@ -81,15 +80,15 @@ class Grouped:
         return Grouped(tuple(self.kept[i] for i in chosen), combinations, self.shares[list(chosen)])
 
 
-def grouped(links: Links, seed: int = 0) -> Grouped:
+def grouped(links: Chain, seed: int = 0) -> Grouped:
     """The smallest set for upright gravity; what links farther out add goes with those nearer to the base."""
-    random = np.random.default_rng(seed)
-    q = random.uniform(-np.pi, np.pi, (POSES, JOINTS))
-    qd, qdd = random.normal(size=(2, POSES, JOINTS))
-    columns = regressor(links, q, qd, 3.0 * qdd, upright()).reshape(-1, JOINTS * PER_LINK)
+    random, n = np.random.default_rng(seed), links.joints
+    q = random.uniform(-np.pi, np.pi, (POSES, n))
+    qd, qdd = random.normal(size=(2, POSES, n))
+    columns = links.regressor(q, qd, 3.0 * qdd, upright()).reshape(-1, n * PER_LINK)
     kept: list[int] = []
     basis = np.empty((len(columns), 0))
-    for c in (PER_LINK * link + c for link in range(JOINTS) for c in PREFERRED):
+    for c in (PER_LINK * link + c for link in range(n) for c in PREFERRED):
         rest = columns[:, c] - basis @ (basis.T @ columns[:, c])
         rest -= basis @ (basis.T @ rest)
         size = float(np.linalg.norm(rest))
@@ -135,7 +134,7 @@ class NormalEquations:
         x = columns * judged[:, :, None]
         y = measured * judged
         return cls(
-            np.stack([x[:, j].T @ x[:, j] for j in range(JOINTS)]),
+            np.stack([x[:, j].T @ x[:, j] for j in range(x.shape[1])]),
             np.einsum("njp,nj->jp", x, y),
             np.sum(y**2, axis=0),
             judged.sum(axis=0).astype(np.float64),
@@ -146,7 +145,7 @@ class NormalEquations:
 
         What the data do not know at all comes out as zero with a huge variance.
         """
-        at = np.ix_(range(JOINTS), chosen, chosen)
+        at = np.ix_(range(len(self.gram)), chosen, chosen)
         count = np.maximum(self.count, 1.0)
         variances = np.maximum(self.power / count, 1e-12)
         for _ in range(ROUNDS):

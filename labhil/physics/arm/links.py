@@ -7,6 +7,7 @@ reference text, whose print has two slips).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi
 from pathlib import Path
@@ -19,10 +20,8 @@ from labhil.complaints import explain
 from labhil.documents import DocumentError, parse_toml, read_document
 from labhil.errors import RigFileError
 from labhil.kinds import JOINTS
+from labhil.physics.arm.rigid_body import PER_LINK, regressor, torques
 from labhil.signals import FloatArray
-
-PER_LINK = 10
-"""Inertial parameters of a link: m, m·c (x y z), inertia about the frame's origin (xx yy zz xy xz yz)."""
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Moment = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -80,6 +79,30 @@ class Links:
     a: FloatArray
     alpha: FloatArray
     inertial: FloatArray | None
+
+    @property
+    def joints(self) -> int:
+        """Number of joints."""
+        return len(self.d)
+
+    @property
+    def begin(self) -> FloatArray:
+        """Nothing is known of masses that are to be estimated."""
+        return np.zeros(JOINTS * PER_LINK)
+
+    def loaded(self, link: int) -> Sequence[int]:
+        """All joints from the base to a link."""
+        return range(link + 1)
+
+    def regressor(self, q: FloatArray, qd: FloatArray, qdd: FloatArray, gravity: FloatArray) -> FloatArray:
+        """See ``physics.arm.rigid_body.regressor``."""
+        return regressor(self, q, qd, qdd, gravity)
+
+    def torques(
+        self, q: FloatArray, qd: FloatArray, qdd: FloatArray, gravity: FloatArray, inertial: FloatArray
+    ) -> FloatArray:
+        """See ``physics.arm.rigid_body.torques``."""
+        return torques(self, q, qd, qdd, gravity, inertial)
 
     @classmethod
     def of(cls, rows: tuple[JointRow, ...]) -> Links:

@@ -12,24 +12,23 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from labhil.errors import UnknownNameError
-from labhil.kinds import JOINTS
 from labhil.physics.arm.catalogue import GEAR_RATIO, NEVER_SEEN, Sizes, catalogue
+from labhil.physics.arm.chain import Chain
 from labhil.physics.arm.controller_constants import controller_constants, notes_on
+from labhil.physics.arm.first_estimate import LAWS as FIRST_LAWS
 from labhil.physics.arm.first_estimate import FirstEstimate, best_of, first_estimate
 from labhil.physics.arm.grouped import grouped
 from labhil.physics.arm.joint_laws import LAWS, JointMotion, directions
-from labhil.physics.arm.links import PER_LINK, UR5, inertial_of, links_of
+from labhil.physics.arm.links import UR5, inertial_of, links_of
 from labhil.physics.arm.motion import Motion, PreparedRecord, as_it_is, cut_off_of, prepared, temperatures
-from labhil.physics.arm.rigid_body import upright
+from labhil.physics.arm.own_parameters import TYPICAL_CONSTANT, own_parameters
+from labhil.physics.arm.rigid_body import PER_LINK, upright
 from labhil.physics.arm.view import Remembered, View
 from labhil.physics.extra_force import ExtraForce, MovedPart
 from labhil.physics.model import Metric, Record, Windows, index_of
 from labhil.physics.terms import Parameter, Term, Yardstick, keyed
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
-
-TYPICAL_CONSTANT = 11.0
-"""N·m/A with the gear ratio: about 0.11 N·m/A at the motor times 101."""
 
 LOAD = "load_dependent_friction.coefficient"
 OFFSET = "sensor_offset.offset"
@@ -40,7 +39,7 @@ WHOLE_ARM = ("payload", "base_tilt", "clock_offset")
 KEPT = 8
 """Records of which motion and regressors are kept, for each recording that is fitted."""
 
-LAST = slice((JOINTS - 1) * PER_LINK, JOINTS * PER_LINK)
+LAST = slice(-PER_LINK, None)
 
 
 class ArmModel:
@@ -66,19 +65,23 @@ class ArmModel:
     state_scale = np.empty(0)
     forgets = True
     force_unit = "N·m"
+    output_unit = "A"
+    first_laws: tuple[str, ...] = FIRST_LAWS
     _forces: tuple[ExtraForce, ...] = ()
 
     def __init__(self, rig: RigFile, record: Record | None = None) -> None:
-        table = rig.known_file("links")
-        self.links = UR5 if table is None else links_of(table.text(), table.source)
-        stated = rig.known_numbers("torque_constant")
+        self.links = self._chain(rig)
+        self.joints = self.links.joints
+        stated = self._stated_constants(rig)
         self.controller = None if record is None else controller_constants(record)
         # known masses are the better reference: then the constants are estimated
         taken = self.controller if stated is None and self.links.inertial is None else None
         known = stated if taken is None else taken.value.tolist()
+        if known is None:
+            self.links = self._reference()
         self.scale_error = 0.0 if taken is None else taken.relative_error
         self.notes = () if self.controller is None else notes_on(self.controller, stated, taken is not None)
-        self._constant = np.full(JOINTS, TYPICAL_CONSTANT) if known is None else np.array(known)
+        self._constant = np.full(self.joints, TYPICAL_CONSTANT) if known is None else np.array(known)
         self.fixed = {} if known is None else {keyed("torque_constant", j): k for j, k in enumerate(known)}
         self.cut_off = rig.metric.cut_off or cut_off_of(record)
         self.horizon = rig.metric.horizon or 1.0
@@ -88,18 +91,36 @@ class ArmModel:
             for j, (torque, speed) in enumerate(zip(sizes.torque, sizes.speed, strict=True))
         )
         warm = None if record is None else temperatures(record)
-        self._temperature = np.zeros(JOINTS) if warm is None else warm.mean(axis=0)
+        self._temperature = np.zeros(self.joints) if warm is None else warm.mean(axis=0)
         size = KEPT * (1 if record is None else len(record.begins))
         self._seen: Remembered[tuple[FloatArray, Motion, np.ndarray]] = Remembered(size)
         self._views: Remembered[View] = Remembered(size)
         self.first = self._first(record)
-        everything = catalogue(sizes, rig.known_numbers("gear_ratio") or GEAR_RATIO)
+        everything = catalogue(sizes, self._gear_ratio(rig), self.output_unit)
         self._known = {p.key: p.scale for term in everything.values() for p in term.known}
         self.never_seen = dict(NEVER_SEEN) | self._absent(everything, record is None or warm is not None)
         self.terms: Mapping[str, Term] = {k: t for k, t in everything.items() if k not in self.never_seen}
-        self.parameters = self._own() + tuple(p for term in self.terms.values() for p in term.parameters)
+        own = own_parameters(self.joints, self.first, known=bool(self.fixed))
+        self.parameters = own + tuple(p for term in self.terms.values() for p in term.parameters)
         self._index = index_of(self.parameters)
         self._six = {name: self._places(name) for name in {p.name for p in self.parameters}}
+
+    def _chain(self, rig: RigFile) -> Chain:
+        """The rigid bodies of this arm."""
+        table = rig.known_file("links")
+        return UR5 if table is None else links_of(table.text(), table.source)
+
+    def _reference(self) -> Chain:
+        """The rigid bodies where the torque constants are not known."""
+        return self.links
+
+    def _stated_constants(self, rig: RigFile) -> list[float] | None:
+        """Torque constants that are known."""
+        return rig.known_numbers("torque_constant")
+
+    def _gear_ratio(self, rig: RigFile) -> Sequence[float | None]:
+        """Ratios of the joints' gears; None where one is not known."""
+        return rig.known_numbers("gear_ratio") or GEAR_RATIO
 
     def _absent(self, everything: Mapping[str, Term], warm: bool) -> dict[str, str]:
         reasons = {
@@ -109,7 +130,7 @@ class ArmModel:
         }
         if not self.fixed:
             reason = "torque_constant is not known, and so estimated anyway"
-            reasons |= {keyed("torque_constant", joint): reason for joint in range(JOINTS)}
+            reasons |= {keyed("torque_constant", joint): reason for joint in range(self.joints)}
         return reasons
 
     def _first(self, record: Record | None) -> FirstEstimate | None:
@@ -118,29 +139,13 @@ class ArmModel:
             return None
         if record is None:
             every = grouped(self.links)
-            return FirstEstimate(every, np.zeros(len(every.kept)), np.ones(len(every.kept)))
+            begin = self.links.begin
+            return FirstEstimate(every, every.shares @ begin, np.ones(len(every.kept)), begin)
         found = [
-            first_estimate(self.links, ready, self._view(ready), self._constant)
+            first_estimate(self.links, ready, self._view(ready), self._constant, self.first_laws)
             for ready in map(self.prepare, record.recordings())
         ]
         return found[0] if len(found) == 1 else best_of(self.links, found)
-
-    def _own(self) -> tuple[Parameter, ...]:
-        """Torque constants and grouped inertial parameters, where they are to be estimated."""
-        constants = () if self.fixed else tuple(
-            Parameter("torque_constant", "N·m/A", TYPICAL_CONSTANT, 0.01, 1e3, starts=(TYPICAL_CONSTANT,),
-                      joint=joint)
-            for joint in range(JOINTS)
-        )  # fmt: skip
-        if self.first is None:
-            return constants
-        sizes = np.maximum(np.abs(self.first.values), self.first.errors)
-        return constants + tuple(
-            Parameter(name, unit, float(size), starts=(float(value),), linear=True, joint=link)
-            for (name, unit, link), value, size in zip(
-                self.first.grouped.names(), self.first.values, sizes, strict=True
-            )
-        )
 
     @property
     def combinations(self) -> Mapping[str, str]:
@@ -156,10 +161,13 @@ class ArmModel:
         found = {}
         for p in self.parameters:
             alone = p.joint is not None and not p.name.startswith("grouped_") and p.name != COMPLIANCE
-            # an inertial parameter loads the joints from the base to its own link
-            reach = range(p.joint + 1) if p.joint is not None and p.name != COMPLIANCE else range(JOINTS)
-            found[p.key] = (p.joint,) if alone and p.joint is not None else tuple(reach)
+            found[p.key] = self._reach(p) if not alone or p.joint is None else (p.joint,)
         return found
+
+    def _reach(self, parameter: Parameter) -> tuple[int, ...]:
+        """Joints whose currents a parameter of the rigid body or of the whole arm touches."""
+        link = None if parameter.name == COMPLIANCE else parameter.joint
+        return tuple(range(self.joints) if link is None else self.links.loaded(link))
 
     def sizes_of_load(self, mass: float, centre: Sequence[float]) -> dict[str, float]:
         """What a point ``mass`` (kg) at ``centre`` (m, flange's frame) adds to the inertial parameters.
@@ -203,7 +211,7 @@ class ArmModel:
         """
         linear = {p.key: p for p in self.parameters if p.linear}
         _, motion, rows = self._motion(record)
-        out = np.zeros((len(rows), JOINTS, len(free_keys)))
+        out = np.zeros((len(rows), self.joints, len(free_keys)))
         for i, key in enumerate(free_keys):
             if key not in linear:
                 raise UnknownNameError("linear parameter of ur5", key, linear)
@@ -223,7 +231,7 @@ class ArmModel:
             "acceleration": motion.qdd[at],
             "joint_temperatures": motion.temperature[at],
         }
-        along = {f"{name}_{j}": values[:, j] for name, values in columns.items() for j in range(JOINTS)}
+        along = {f"{name}_{j}": values[:, j] for name, values in columns.items() for j in range(self.joints)}
         return {**along, **self.driven(theta, record, windows, along)}
 
     def driven(
@@ -231,11 +239,11 @@ class ArmModel:
     ) -> Mapping[str, FloatArray]:
         """The rigid body's torque on each joint, N·m."""
         load = self._rigid(theta, record)[windows.rows]
-        return {f"load_{j}": load[:, j] for j in range(JOINTS)}
+        return {f"load_{j}": load[:, j] for j in range(self.joints)}
 
     def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """Torque of each joint's drive at these coordinates in N·m, (N, 6), dry friction by sgn q̇."""
-        return np.column_stack([self._effort(theta, coordinates, joint) for joint in range(JOINTS)])
+        return np.column_stack([self._effort(theta, coordinates, joint) for joint in range(self.joints)])
 
     def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
         """Starts are in units of their own: joints differ in size."""
@@ -245,12 +253,12 @@ class ArmModel:
 
     def _places(self, name: str) -> np.ndarray:
         """Where the parameter stands in theta for each joint (6,); −1 where a joint has none."""
-        return np.array([self._index.get(keyed(name, joint), -1) for joint in range(JOINTS)])
+        return np.array([self._index.get(keyed(name, joint), -1) for joint in range(self.joints)])
 
     def _of_joints(self, theta: FloatArray, name: str) -> FloatArray:
         """A parameter's values (6,); zero where a joint has none."""
         places = self._six.get(name)
-        return np.zeros(JOINTS) if places is None else np.where(places >= 0, theta[places], 0.0)
+        return np.zeros(self.joints) if places is None else np.where(places >= 0, theta[places], 0.0)
 
     def _number(self, theta: FloatArray, name: str) -> float:
         return float(theta[self._index[name]])
@@ -265,7 +273,7 @@ class ArmModel:
 
     def _payload(self, theta: FloatArray) -> FloatArray:
         """Inertial parameters (60,) that the payload adds."""
-        out = np.zeros(JOINTS * PER_LINK)
+        out = np.zeros(self.joints * PER_LINK)
         centre = tuple(self._number(theta, f"payload.centre_{axis}") for axis in "xyz")
         out[LAST] = inertial_of(self._number(theta, "payload.mass"), centre)
         return out
@@ -276,14 +284,14 @@ class ArmModel:
             return self._load_inertial(theta)
         names = [keyed(name, link) for name, _, link in self.first.grouped.names()]
         values = theta[[self._index[name] for name in names]]
-        return self.first.grouped.embedded(values) + self._payload(theta)
+        return self.first.inertial(values) + self._payload(theta)
 
     def _load_inertial(self, theta: FloatArray) -> FloatArray:
         """Inertial parameters (60,) of the load on the gears: the known ones or the first estimate's."""
         known = self.links.inertial
         if known is None:
             assert self.first is not None
-            known = self.first.grouped.embedded(self.first.values)
+            known = self.first.inertial(self.first.values)
         return np.asarray(known + self._payload(theta))
 
     def _motion(self, record: Record) -> tuple[FloatArray, Motion, np.ndarray]:
@@ -325,7 +333,14 @@ class ArmModel:
         key = (
             inertial.tobytes(), self._gravity(theta).tobytes(), compliance.tobytes(), self._delay(theta)
         )  # fmt: skip
-        return self._view(record).torques.of(key, lambda: self._rigid_regressor(theta, record) @ inertial)
+        return self._view(record).torques.of(key, lambda: self._rigid_torques(theta, record, inertial))
+
+    def _rigid_torques(self, theta: FloatArray, record: Record, inertial: FloatArray) -> FloatArray:
+        view, gravity, delay = self._view(record), self._gravity(theta), self._delay(theta)
+        compliance = self._of_joints(theta, COMPLIANCE)
+        if not np.any(compliance):
+            return view.straight_torques(gravity, delay, inertial)
+        return view.bent_torques(compliance, self._load_inertial(theta), gravity, delay, inertial)
 
     def _torques(self, theta: FloatArray, record: Record) -> FloatArray:
         """Torques of the drives (n, 6), N·m."""

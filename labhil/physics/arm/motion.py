@@ -22,7 +22,6 @@ import numpy as np
 from scipy import signal
 
 from labhil.errors import RecordingError
-from labhil.kinds import JOINTS
 from labhil.physics.model import WHITE, Record
 from labhil.signals import FloatArray
 
@@ -60,8 +59,23 @@ class LowPass:
         return max(1, round(0.35 / (self.cut_off * self.period)))
 
     def __call__(self, columns: FloatArray) -> FloatArray:
-        """Filter columns (n, …) along time."""
-        return np.asarray(signal.sosfiltfilt(_sections(2.0 * self.cut_off * self.period), columns, axis=0))
+        """Filter columns (n, …) along time.
+
+        As ``scipy.signal.sosfiltfilt``, which works out the filter's state at rest anew for every column.
+        """
+        sections, at_rest = _sections(2.0 * self.cut_off * self.period)
+        edge = 3 * (2 * len(sections) + 1)
+        if len(columns) <= edge:
+            return np.asarray(signal.sosfiltfilt(sections, columns, axis=0))
+        before, after = (
+            2.0 * columns[:1] - columns[edge:0:-1],
+            2.0 * columns[-1:] - columns[-2 : -edge - 2 : -1],
+        )
+        found = np.concatenate([before, columns, after])
+        at_rest = at_rest.reshape(*at_rest.shape, *[1] * (columns.ndim - 1))
+        for _ in range(2):
+            found = signal.sosfilt(sections, found, axis=0, zi=at_rest * found[0])[0][::-1]
+        return np.ascontiguousarray(found[edge:-edge])
 
     def autocovariance(self, n: int, correlation: float = 0.0) -> FloatArray:
         """What unit noise is like behind the filter, by distance in samples (n,), away from the ends.
@@ -79,9 +93,13 @@ class LowPass:
 
 
 @lru_cache
-def _sections(share: float) -> FloatArray:
-    """Second-order sections of the low-pass that cuts off at this share of half the sampling rate."""
-    return np.asarray(signal.butter(4, share, output="sos"))
+def _sections(share: float) -> tuple[FloatArray, FloatArray]:
+    """Second-order sections of the low-pass that cuts off at this share of half the sampling rate.
+
+    With the state (sections, 2) that each is in where the input has always been 1.
+    """
+    sections = np.asarray(signal.butter(4, share, output="sos"))
+    return sections, np.asarray(signal.sosfilt_zi(sections))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,9 +183,9 @@ def cut_off_of(record: Record | None) -> float:
 def _cut_off(record: Record) -> float:
     if len(record) < FEWEST:
         return LOWEST_CUT_OFF
-    period = record.period
+    period, joints = record.period, record.outputs.shape[1]
     grid = np.arange(record.t[0], record.t[-1], period)
-    velocities = [np.interp(grid, record.t, c) for c in record.inputs[:, JOINTS : 2 * JOINTS].T]
+    velocities = [np.interp(grid, record.t, c) for c in record.inputs[:, joints : 2 * joints].T]
     power = np.sum([np.abs(np.fft.rfft(v * np.hanning(len(v)))) ** 2 for v in velocities], axis=0)
     frequency = np.fft.rfftfreq(len(grid), period)
     share = np.cumsum(power) / max(float(np.sum(power)), 1e-300)
@@ -177,14 +195,15 @@ def _cut_off(record: Record) -> float:
 
 def as_it_is(record: Record) -> Motion:
     """The motion of a record that was not prepared: nothing filtered, accelerations by differences."""
-    q, qd = record.inputs[:, :JOINTS], record.inputs[:, JOINTS : 2 * JOINTS]
+    joints = record.outputs.shape[1]
+    q, qd = record.inputs[:, :joints], record.inputs[:, joints : 2 * joints]
     qdd = np.gradient(qd, record.t, axis=0)
     return Motion(record.t, q, qd, qdd, _warmth(record), np.ones(q.shape, dtype=bool), None)
 
 
 def prepared(record: Record, cut_off: float) -> PreparedRecord:
     """Filter a recording and keep what can be judged; RecordingError when nothing moves for long enough."""
-    period = record.period
+    period, joints = record.period, record.outputs.shape[1]
     grid = record.t[0] + period * np.arange(int((record.t[-1] - record.t[0]) / period + 1e-6) + 1)
     low_pass = LowPass(min(cut_off, 0.45 / period), period)
     if len(grid) < FEWEST:
@@ -192,7 +211,7 @@ def prepared(record: Record, cut_off: float) -> PreparedRecord:
     inputs, outputs = _on(grid, record.t, record.inputs), _on(grid, record.t, record.outputs)
     auxiliary = {name: np.interp(grid, record.t, x) for name, x in record.auxiliary.items()}
     even = replace(record, t=grid, inputs=inputs, outputs=outputs, auxiliary=auxiliary)
-    q, qd = low_pass(inputs[:, :JOINTS]), low_pass(inputs[:, JOINTS : 2 * JOINTS])
+    q, qd = low_pass(inputs[:, :joints]), low_pass(inputs[:, joints : 2 * joints])
     qdd = np.gradient(qd, period, axis=0)
     moving = _eroded(np.abs(qd) > REST, low_pass.reach)
     motion = Motion(grid, q, qd, qdd, low_pass(_warmth(even)), moving, low_pass)
@@ -202,7 +221,7 @@ def prepared(record: Record, cut_off: float) -> PreparedRecord:
             f"too little motion for inverse dynamics: {len(rows)} samples are left where a joint moves "
             f"faster than {REST:g} rad/s, at least {FEWEST} are needed"
         )
-    inputs[:, :JOINTS], inputs[:, JOINTS : 2 * JOINTS] = q, qd
+    inputs[:, :joints], inputs[:, joints : 2 * joints] = q, qd
     return PreparedRecord(
         t=grid[rows],
         inputs=inputs[rows],
@@ -246,7 +265,7 @@ def _on(grid: FloatArray, t: FloatArray, columns: FloatArray) -> FloatArray:
 
 def temperatures(record: Record) -> FloatArray | None:
     """Joint temperatures (n, 6) °C of a record; None where it has none."""
-    names = [f"joint_temperatures_{j}" for j in range(JOINTS)]
+    names = [f"joint_temperatures_{j}" for j in range(record.outputs.shape[1])]
     if not all(name in record.auxiliary for name in names):
         return None
     return np.column_stack([record.auxiliary[name] for name in names])
@@ -254,4 +273,4 @@ def temperatures(record: Record) -> FloatArray | None:
 
 def _warmth(record: Record) -> FloatArray:
     found = temperatures(record)
-    return np.zeros((len(record), JOINTS)) if found is None else found
+    return np.zeros(record.outputs.shape) if found is None else found

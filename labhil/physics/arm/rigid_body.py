@@ -8,12 +8,19 @@ of inertia and Coriolis terms come out of the recursion.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from labhil.compiled import inlined
 from labhil.kinds import JOINTS
-from labhil.physics.arm.links import PER_LINK, Links
 from labhil.signals import FloatArray
+
+if TYPE_CHECKING:
+    from labhil.physics.arm.links import Links
+
+PER_LINK = 10
+"""Inertial parameters of a link: m, m·c (x y z), inertia about the frame's origin (xx yy zz xy xz yz)."""
 
 GRAVITY = 9.81
 """m/s²."""
@@ -33,6 +40,64 @@ def regressor(
     q, qd, qdd = np.ascontiguousarray(q), np.ascontiguousarray(qd), np.ascontiguousarray(qdd)
     columns_of_links(links.d, links.a, links.alpha, q, qd, qdd, gravity, out)
     return out
+
+
+def torques(
+    links: Links, q: FloatArray, qd: FloatArray, qdd: FloatArray, gravity: FloatArray, inertial: FloatArray
+) -> FloatArray:
+    """The same times ``inertial`` (60,), without making Y: (n, 6), N·m."""
+    out = np.zeros((len(q), JOINTS))
+    q, qd, qdd = np.ascontiguousarray(q), np.ascontiguousarray(qd), np.ascontiguousarray(qdd)
+    pi = np.ascontiguousarray(inertial)
+    torques_of_links(links.d, links.a, links.alpha, q, qd, qdd, gravity, pi, out)
+    return out
+
+
+@inlined
+def torques_of_links(
+    d: FloatArray,
+    a: FloatArray,
+    alpha: FloatArray,
+    q: FloatArray,
+    qd: FloatArray,
+    qdd: FloatArray,
+    gravity: FloatArray,
+    inertial: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Fill ``out`` (n, 6); see :func:`torques`."""
+    rotation = np.empty((6, 3, 3))
+    step = np.empty((6, 3))
+    w, dw, acc = np.empty(3), np.empty(3), np.empty(3)
+    wrench, own, total = np.empty((6, PER_LINK)), np.empty((6, 6)), np.empty((6, 1))
+    for n in range(q.shape[0]):
+        w[:] = 0.0
+        dw[:] = 0.0
+        for k in range(3):
+            acc[k] = -gravity[k]
+        for i in range(6):
+            _turn(q[n, i], alpha[i], rotation[i])
+            step[i, 0] = a[i]
+            step[i, 1] = d[i] * np.sin(alpha[i])
+            step[i, 2] = d[i] * np.cos(alpha[i])
+            _next(rotation[i], step[i], qd[n, i], qdd[n, i], w, dw, acc)
+            newton_euler(w, dw, acc, wrench)
+            weighted(wrench, inertial, i, own[i])
+        total[:, 0] = 0.0
+        for j in range(5, -1, -1):
+            for k in range(6):
+                total[k, 0] += own[j, k]
+            _carry(rotation[j], step[j], total)
+            out[n, j] = total[5, 0]
+
+
+@inlined
+def weighted(wrench: FloatArray, inertial: FloatArray, link: int, out: FloatArray) -> None:
+    """``out`` (6,): force and moment of a link at its inertial parameters."""
+    for k in range(6):
+        out[k] = 0.0
+        for c in range(PER_LINK):
+            out[k] += wrench[k, c] * inertial[PER_LINK * link + c]
 
 
 @inlined
@@ -62,7 +127,7 @@ def columns_of_links(
             step[i, 1] = d[i] * np.sin(alpha[i])
             step[i, 2] = d[i] * np.cos(alpha[i])
             _next(rotation[i], step[i], qd[n, i], qdd[n, i], w, dw, acc)
-            _newton_euler(w, dw, acc, wrench)
+            newton_euler(w, dw, acc, wrench)
             for j in range(i, -1, -1):
                 _carry(rotation[j], step[j], wrench)
                 for c in range(10):
@@ -98,7 +163,7 @@ def _next(
 
 
 @inlined
-def _newton_euler(w: FloatArray, dw: FloatArray, acc: FloatArray, wrench: FloatArray) -> None:
+def newton_euler(w: FloatArray, dw: FloatArray, acc: FloatArray, wrench: FloatArray) -> None:
     """Force (rows 0–2) and moment about the frame's origin (rows 3–5) by each of the ten parameters."""
     wx, wy, wz = w[0], w[1], w[2]
     bx, by, bz = dw[0], dw[1], dw[2]
@@ -125,7 +190,7 @@ def _carry(r: FloatArray, p: FloatArray, wrench: FloatArray) -> None:
 
     Row 5 is then the moment about that frame's z axis, which is the axis of joint j.
     """
-    for c in range(10):
+    for c in range(wrench.shape[1]):
         f, g, h = wrench[0, c], wrench[1, c], wrench[2, c]
         x = wrench[3, c] + p[1] * h - p[2] * g
         y = wrench[4, c] + p[2] * f - p[0] * h

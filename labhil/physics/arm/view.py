@@ -9,16 +9,14 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from labhil.kinds import JOINTS
+from labhil.physics.arm.chain import Chain
 from labhil.physics.arm.joint_laws import LAWS, JointMotion, Law, directions
-from labhil.physics.arm.links import Links
 from labhil.physics.arm.motion import Motion
-from labhil.physics.arm.rigid_body import regressor
 from labhil.physics.extra_force import ExtraForce, Over, along_positive
 from labhil.signals import FloatArray
 
 LAWS_REMEMBERED = 15 * JOINTS
 FORCES_REMEMBERED = 2 * JOINTS
-CHUNK = 4096
 NEIGHBOURS = 6
 
 Value = TypeVar("Value")
@@ -49,21 +47,25 @@ class Remembered(Generic[Value]):
             self._known.pop(key, None)
 
 
-def between(columns: FloatArray, places: FloatArray) -> FloatArray:
-    """Columns (m, …) of an even raster at places (n,) between its samples, by Lagrange's polynomials.
+class Between:
+    """Places (n,) between the samples of an even raster of m, read by Lagrange's polynomials.
 
     Six neighbours: a sine of ten samples per cycle comes out within 0.03 %.
     """
-    first = np.clip(np.floor(places).astype(np.int64) - 2, 0, len(columns) - NEIGHBOURS)
-    x = places - first
-    out = np.zeros((len(places), *columns.shape[1:]))
-    for i in range(NEIGHBOURS):
-        weight = np.ones(len(places))
-        for j in range(NEIGHBOURS):
-            if j != i:
-                weight *= (x - j) / (i - j)
-        out += weight.reshape(-1, *[1] * (columns.ndim - 1)) * columns[first + i]
-    return out
+
+    def __init__(self, places: FloatArray, m: int) -> None:
+        first = np.clip(np.floor(places).astype(np.int64) - 2, 0, m - NEIGHBOURS)
+        x = places - first
+        self._near = first[:, None] + np.arange(NEIGHBOURS)
+        self._weights = np.ones((len(places), NEIGHBOURS))
+        for i in range(NEIGHBOURS):
+            for j in range(NEIGHBOURS):
+                if j != i:
+                    self._weights[:, i] *= (x - j) / (i - j)
+
+    def read(self, columns: FloatArray) -> FloatArray:
+        """Columns (m, …) at the places, (n, …)."""
+        return np.asarray(np.einsum("ni,ni...->n...", self._weights, columns[self._near]))
 
 
 class View:
@@ -72,12 +74,13 @@ class View:
     ``reference`` (6,) °C are the temperatures at which viscous friction is stated.
     """
 
-    def __init__(self, links: Links, motion: Motion, rows: np.ndarray, reference: FloatArray) -> None:
+    def __init__(self, links: Chain, motion: Motion, rows: np.ndarray, reference: FloatArray) -> None:
         self.links = links
         self.motion = motion
         self.rows = rows
         self.torques: Remembered[FloatArray] = Remembered(8)
         self._reference = reference
+        self._between: Remembered[Between] = Remembered(4)
         self._laws: Remembered[FloatArray] = Remembered(LAWS_REMEMBERED)
         self._whole_laws: Remembered[FloatArray] = Remembered(LAWS_REMEMBERED)
         self._regressors: Remembered[FloatArray] = Remembered(4)
@@ -89,17 +92,24 @@ class View:
         """Columns (m, …) of the whole motion at the rows, (n, …)."""
         if delay == 0.0:
             return np.ascontiguousarray(columns[self.rows])
-        behind = self.rows - delay / self.motion.period
-        return between(columns, np.clip(behind, 0.0, len(columns) - 1.0))
+        return self._between.of(delay, lambda: self._behind(delay, len(columns))).read(columns)
+
+    def _behind(self, delay: float, m: int) -> Between:
+        return Between(np.clip(self.rows - delay / self.motion.period, 0.0, m - 1.0), m)
 
     def rigid(self, gravity: FloatArray, delay: float) -> FloatArray:
         """Regressor (n, 6, 60) of the rigid body, torque per inertial parameter."""
 
         def made() -> FloatArray:
             m = self.motion
-            return regressor(self.links, *self._at((m.q, m.qd, m.qdd), delay), gravity)
+            return self.links.regressor(*self._at((m.q, m.qd, m.qdd), delay), gravity)
 
         return self._regressors.of((gravity.tobytes(), delay), made)
+
+    def straight_torques(self, gravity: FloatArray, delay: float, inertial: FloatArray) -> FloatArray:
+        """Torques (n, 6) of the rigid body at these inertial parameters (60,)."""
+        m = self.motion
+        return self.links.torques(*self._at((m.q, m.qd, m.qdd), delay), gravity, inertial)
 
     def _at(
         self, motion: tuple[FloatArray, FloatArray, FloatArray], delay: float
@@ -167,24 +177,37 @@ class View:
         """Regressor (n, 6, 60) where links hang ``compliance`` (6,) rad/(N·m) times their load behind."""
 
         def made() -> FloatArray:
-            m = self.motion
-            behind = m.slowly(compliance * self._whole(inertial, gravity))
-            slower = np.gradient(behind, m.t, axis=0)
-            slope = np.gradient(slower, m.t, axis=0)
-            links = self._at((m.q - behind, m.qd - slower, m.qdd - slope), delay)
-            return regressor(self.links, *links, gravity)
+            return self.links.regressor(*self._hung(compliance, inertial, gravity, delay), gravity)
 
         return self._bent.of((compliance.tobytes(), inertial.tobytes(), gravity.tobytes(), delay), made)
+
+    def bent_torques(
+        self,
+        compliance: FloatArray,
+        loading: FloatArray,
+        gravity: FloatArray,
+        delay: float,
+        inertial: FloatArray,
+    ) -> FloatArray:
+        """Torques (n, 6) of such links at ``inertial`` (60,); ``loading`` (60,) is what bends them."""
+        hung = self._hung(compliance, loading, gravity, delay)
+        return self.links.torques(*hung, gravity, inertial)
+
+    def _hung(
+        self, compliance: FloatArray, inertial: FloatArray, gravity: FloatArray, delay: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Motion of the links at the rows."""
+        m = self.motion
+        behind = m.slowly(compliance * self._whole(inertial, gravity))
+        slower = np.gradient(behind, m.t, axis=0)
+        slope = np.gradient(slower, m.t, axis=0)
+        return self._at((m.q - behind, m.qd - slower, m.qdd - slope), delay)
 
     def _whole(self, inertial: FloatArray, gravity: FloatArray) -> FloatArray:
         """Rigid torques (m, 6) of the whole motion."""
 
         def made() -> FloatArray:
             m = self.motion
-            out = np.empty_like(m.q)
-            for first in range(0, len(out), CHUNK):
-                part = slice(first, first + CHUNK)
-                out[part] = regressor(self.links, m.q[part], m.qd[part], m.qdd[part], gravity) @ inertial
-            return out
+            return self.links.torques(m.q, m.qd, m.qdd, gravity, inertial)
 
         return self._loads.of((inertial.tobytes(), gravity.tobytes()), made)

@@ -1,0 +1,189 @@
+"""A repaired file of an arm: changed, loaded, and run by MuJoCo's inverse dynamics on the held-out data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from labhil.analysis.material import Material, load_material
+from labhil.analysis.patch import KEPT, OTHERS, Attempt, Joint, Patch, difference, write
+from labhil.analysis.patch_source import Found
+from labhil.errors import UsageError
+from labhil.identify.score import Score, score
+from labhil.identify.windows import noise_of
+from labhil.physics.model import index_of, start_values
+from labhil.physics.terms import keyed
+from labhil.python_file import module_of
+from labhil.rig import RigFile, default_rig, load_rig
+from labhil.simulators.arm import TORQUE, ArmFileModel, ArmSimulator, arm_simulator
+from labhil.simulators.arm_companion import Beside
+from labhil.simulators.arm_patches import ROTOR, PatchedArm, patched_arm
+from labhil.simulators.arm_run import ArmFileRun, Companion
+from labhil.simulators.xml_text import XmlText
+
+PAYLOAD = "payload"
+FIRM = "firm dry friction"
+
+
+@dataclass(frozen=True)
+class ArmBench:
+    """An arm's file as it was read, with what the rig file says."""
+
+    path: Path
+    simulator: ArmSimulator
+    rig: RigFile
+
+    @classmethod
+    def of(cls, into: Path, rig_file: Path | None) -> ArmBench:
+        """Read a file by the names that a rig file gives, or by its own."""
+        rig = None if rig_file is None else load_rig(rig_file)
+        outputs = None if rig is None or rig.model is None else rig.model.outputs
+        simulator = arm_simulator(into, None, outputs, "" if rig is None else rig.kind.name)
+        return cls(into, simulator, rig or default_rig(simulator.name))
+
+    def constants(self, model: ArmFileModel, theta: np.ndarray) -> list[float] | None:
+        """Torque constants, N·m/A; None where torques are measured."""
+        if self.simulator.measures == TORQUE:
+            return None
+        return model.constants_at(theta)
+
+
+def patch_arm(
+    found: Found,
+    into: Path,
+    out: Path,
+    rig_file: Path | None,
+    holdout: float,
+    progress: Callable[[str], None],
+) -> Patch:
+    """Write a repaired copy of an arm's file, if it keeps what a diagnosis promised.
+
+    Raises:
+        UsageError: The files do not belong together, or the repaired file does not keep the promise.
+    """
+    bench = ArmBench.of(into, rig_file)
+    material = load_material(found.search, bench.rig, found.test or None, holdout)
+    model = material.model
+    if not isinstance(model, ArmFileModel):
+        raise UsageError("expected a diagnosis of one recording of an arm, found one of several recordings")
+    theta = _theta(model, found.values)
+    progress("scoring the diagnosed model on the held-out data")
+    promised = _score(model, theta, material)
+    _check_promise(into, found, promised)
+    code = out.with_name(f"{out.stem}_effects.py")
+    before = _run(bench, model, into, _bare(bench, model, theta), material, into)
+    attempts: list[Attempt] = []
+    for extra in ("", FIRM):
+        candidate, beside = _candidate(bench, model, theta, found.values, firm=bool(extra))
+        progress(f"running the repaired file on the held-out data{extra and ', '}{extra}")
+        after = _run(bench, model, out, beside, material, into, candidate)
+        attempts.append(Attempt(extra, after.rmse, after.rmse / promised.rmse))
+        if attempts[-1].ratio <= KEPT:
+            break
+    else:
+        raise UsageError(_refusal(into, attempts, promised.rmse, beside))
+    write(candidate.text, beside.text(out.name), out, code)
+    joints = tuple(
+        Joint(name, c.unit, b.rmse, p.rmse, c.rmse)
+        for name, b, p, c in zip(
+            bench.simulator.joints, before.channels, promised.channels, after.channels, strict=True
+        )
+    )
+    return Patch(
+        out, code, tuple(candidate.text.changes), tuple(candidate.left), difference(candidate.text, out),
+        found.promised, promised.rmse, before.rmse, tuple(attempts), "noise floors", joints, beside.unheld,
+    )  # fmt: skip
+
+
+def _check_promise(into: Path, found: Found, promised: Score) -> None:
+    """UsageError where the values do not make the error that the result states."""
+    for stated, channel in zip(found.channels, promised.channels, strict=False):
+        if channel.rmse > OTHERS * stated:
+            raise UsageError(
+                f"the result promises an error of {stated:.4g} {channel.unit} in {channel.channel} of joint "
+                f"{channel.joint} on held-out data, and its values in {into} make one of {channel.rmse:.4g}: "
+                "was it made with another file, --rig or --holdout?"
+            )
+
+
+def _theta(model: ArmFileModel, values: Mapping[str, float]) -> np.ndarray:
+    theta, index = start_values(model.parameters), index_of(model.parameters)
+    for key, value in values.items():
+        if key in index:
+            theta[index[key]] = value
+    return theta
+
+
+def _score(model: ArmFileModel, theta: np.ndarray, material: Material) -> Score:
+    return score(model, theta, material.judge, noise_of(material.judge), None)
+
+
+def _candidate(
+    bench: ArmBench, model: ArmFileModel, theta: np.ndarray, values: Mapping[str, float], *, firm: bool
+) -> tuple[PatchedArm, Beside]:
+    """The file with the values, and what stands beside it."""
+    inertial, payload = model.inertial_at(theta)
+    own = {key for key in values if key.startswith(("grouped_", "torque_constant["))}
+    effects = {key: v for key, v in values.items() if key not in own and not key.startswith(PAYLOAD)}
+    text = XmlText.read(bench.path)
+    patched = patched_arm(bench.simulator.arm, text, effects, inertial, payload, firm=firm)
+    dry = [effects.get(keyed("coulomb_friction.level", j), 0.0) for j in range(model.joints)]
+    rotors = {key for key, v in patched.left.items() if key.startswith(ROTOR) and v > 0.0 and patched.urdf}
+    left = {key: v for key, v in patched.left.items() if key not in rotors}
+    armature = tuple(patched.left[k] if k in rotors else 0.0 for k in _by_joint(ROTOR, model.joints))
+    constants = bench.constants(model, theta)
+    return patched, Beside(left, constants, bench.simulator.joints, dry, patched.unsaid, armature)
+
+
+def _by_joint(name: str, joints: int) -> list[str]:
+    return [keyed(name, joint) for joint in range(joints)]
+
+
+def _bare(bench: ArmBench, model: ArmFileModel, theta: np.ndarray) -> Beside:
+    """Beside the file as it was: torque constants alone."""
+    return Beside({}, bench.constants(model, theta), bench.simulator.joints, [0.0] * model.joints)
+
+
+def _run(
+    bench: ArmBench,
+    model: ArmFileModel,
+    out: Path,
+    beside: Beside,
+    material: Material,
+    into: Path,
+    candidate: PatchedArm | None = None,
+) -> Score:
+    """Score a file, loaded from where it shall stand under a name of its own, with what stands beside it."""
+    draft, code = out.with_name(f"{out.stem}.part{out.suffix}"), out.with_name(f"{out.stem}_part.py")
+    try:
+        content = XmlText.read(into).content if candidate is None else candidate.text.changed()
+        draft.write_bytes(content)
+        code.write_text(beside.text(out.name), encoding="utf-8")
+        outputs = {bench.simulator.output: bench.simulator.measures}
+        simulator = arm_simulator(draft, None, outputs, bench.simulator.name)
+        functions: Companion = cast("Companion", module_of(code))
+        itself = ArmFileRun(simulator, bench.rig, material.judge, functions, model.cut_off, firm=beside.firm)
+        return _score(itself, start_values(itself.parameters), material)
+    except OSError as error:
+        raise UsageError(f"{out}: cannot be written: {error.strerror}") from error
+    finally:
+        for path in (draft, code):
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
+
+
+def _refusal(into: Path, attempts: list[Attempt], promised: float, beside: Beside) -> str:
+    tried = "; ".join(f"{a.beside or 'as it is'}: {a.rmse:.4g} ({a.ratio:.3f} times)" for a in attempts)
+    without = f"; run without {', '.join(beside.unheld)}, which neither holds" if beside.unheld else ""
+    return (
+        f"{into}: expected the repaired file to make an error of {promised:.4g} noise floors on held-out "
+        f"data, or up to {KEPT:g} times that, found {tried}{without}; nothing is written"
+    )
+
+
+__all__ = ["patch_arm"]

@@ -1,0 +1,203 @@
+"""Rigid bodies on hinges in any arrangement, linear in their inertial parameters: τ = Y(q, q̇, q̈; g)·π.
+
+Frame i is fixed to link i, with its origin on the axis of joint i. At q_i = 0 it is turned by ``turn[i]``
+and moved by ``offset[i]`` from the frame of the link that carries it (−1: the base); joint i then turns it
+about ``axis[i]``. The equations are those of ``physics.arm.rigid_body``, which has the order of π.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from labhil.compiled import inlined
+from labhil.physics.arm.rigid_body import PER_LINK, newton_euler, weighted
+from labhil.signals import FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tree:
+    """``carrier`` (n,); ``turn`` (n, 3, 3); ``offset`` m and ``axis`` (n, 3); inertial parameters (10 n,).
+
+    ``begin`` are what a file says of the inertial parameters; ``inertial`` the same where they are taken for
+    known, else None (satisfies ``physics.arm.chain.Chain``).
+    """
+
+    carrier: IntArray
+    turn: FloatArray
+    offset: FloatArray
+    axis: FloatArray
+    begin: FloatArray
+    inertial: FloatArray | None = None
+
+    @property
+    def joints(self) -> int:
+        """Number of joints."""
+        return len(self.carrier)
+
+    @property
+    def on_base(self) -> list[int]:
+        """Joints that the base carries."""
+        return [j for j, carrier in enumerate(self.carrier) if carrier < 0]
+
+    def loaded(self, link: int) -> Sequence[int]:
+        """Joints between a link and the base."""
+        found = []
+        while link >= 0:
+            found.append(link)
+            link = int(self.carrier[link])
+        return sorted(found)
+
+    def regressor(self, q: FloatArray, qd: FloatArray, qdd: FloatArray, gravity: FloatArray) -> FloatArray:
+        """Torque per inertial parameter (m, n, 10 n) of a motion (m, n); ``gravity`` (3,) in the base."""
+        n = self.joints
+        out = np.zeros((len(q), n, n * PER_LINK))
+        q, qd, qdd = np.ascontiguousarray(q), np.ascontiguousarray(qd), np.ascontiguousarray(qdd)
+        columns_of_tree(self.carrier, self.turn, self.offset, self.axis, q, qd, qdd, gravity, out)
+        return out
+
+    def torques(
+        self, q: FloatArray, qd: FloatArray, qdd: FloatArray, gravity: FloatArray, inertial: FloatArray
+    ) -> FloatArray:
+        """Torques (m, n) of a motion at these inertial parameters (10 n,)."""
+        out = np.zeros((len(q), self.joints))
+        q, qd, qdd = np.ascontiguousarray(q), np.ascontiguousarray(qd), np.ascontiguousarray(qdd)
+        pi = np.ascontiguousarray(inertial)
+        torques_of_tree(self.carrier, self.turn, self.offset, self.axis, q, qd, qdd, gravity, pi, out)
+        return out
+
+
+@inlined
+def torques_of_tree(
+    carrier: IntArray,
+    turn: FloatArray,
+    offset: FloatArray,
+    axis: FloatArray,
+    q: FloatArray,
+    qd: FloatArray,
+    qdd: FloatArray,
+    gravity: FloatArray,
+    inertial: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Fill ``out`` (m, n); carriers come before what they carry."""
+    joints = carrier.size
+    rotation, moving = np.empty((joints, 3, 3)), np.empty((joints, 3, 3))
+    wrench, own, handed = np.empty((6, PER_LINK)), np.empty((joints, 6)), np.empty((6, 1))
+    for m in range(q.shape[0]):
+        for i in range(joints):
+            turned(turn[i], axis[i], q[m, i], rotation[i])
+            carried(carrier[i], moving, gravity, rotation[i], offset[i], moving[i])
+            hinged(axis[i], qd[m, i], qdd[m, i], moving[i])
+            newton_euler(moving[i, 0], moving[i, 1], moving[i, 2], wrench)
+            weighted(wrench, inertial, i, own[i])
+        for i in range(joints - 1, -1, -1):
+            out[m, i] = axis[i, 0] * own[i, 3] + axis[i, 1] * own[i, 4] + axis[i, 2] * own[i, 5]
+            if carrier[i] >= 0:
+                for k in range(6):
+                    handed[k, 0] = own[i, k]
+                handed_down(rotation[i], offset[i], handed)
+                for k in range(6):
+                    own[carrier[i], k] += handed[k, 0]
+
+
+@inlined
+def columns_of_tree(
+    carrier: IntArray,
+    turn: FloatArray,
+    offset: FloatArray,
+    axis: FloatArray,
+    q: FloatArray,
+    qd: FloatArray,
+    qdd: FloatArray,
+    gravity: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Fill ``out`` (m, n, 10 n), zero before; see :class:`Tree`."""
+    joints = carrier.size
+    rotation = np.empty((joints, 3, 3))
+    moving = np.empty((joints, 3, 3))
+    wrench = np.empty((6, PER_LINK))
+    for m in range(q.shape[0]):
+        for i in range(joints):
+            turned(turn[i], axis[i], q[m, i], rotation[i])
+            carried(carrier[i], moving, gravity, rotation[i], offset[i], moving[i])
+            hinged(axis[i], qd[m, i], qdd[m, i], moving[i])
+            newton_euler(moving[i, 0], moving[i, 1], moving[i, 2], wrench)
+            j = i
+            while j >= 0:
+                for c in range(PER_LINK):
+                    out[m, j, PER_LINK * i + c] = (
+                        axis[j, 0] * wrench[3, c] + axis[j, 1] * wrench[4, c] + axis[j, 2] * wrench[5, c]
+                    )
+                handed_down(rotation[j], offset[j], wrench)
+                j = carrier[j]
+
+
+@inlined
+def turned(turn: FloatArray, axis: FloatArray, q: float, out: FloatArray) -> None:
+    """``out`` (3, 3) = turn · rotation by q about the unit vector ``axis`` (Rodrigues)."""
+    s, c = np.sin(q), np.cos(q)
+    x, y, z = axis[0], axis[1], axis[2]
+    v = 1.0 - c
+    for k in range(3):
+        a, b, d = turn[k, 0], turn[k, 1], turn[k, 2]
+        out[k, 0] = a * (c + x * x * v) + b * (x * y * v + z * s) + d * (x * z * v - y * s)
+        out[k, 1] = a * (x * y * v - z * s) + b * (c + y * y * v) + d * (y * z * v + x * s)
+        out[k, 2] = a * (x * z * v + y * s) + b * (y * z * v - x * s) + d * (c + z * z * v)
+
+
+@inlined
+def carried(
+    carrier: int,
+    moving: FloatArray,
+    gravity: FloatArray,
+    rotation: FloatArray,
+    p: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Rows of ``out``: angular velocity, angular acceleration, acceleration of the origin; of the carrier."""
+    wx, wy, wz, bx, by, bz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    ax, ay, az = -gravity[0], -gravity[1], -gravity[2]
+    if carrier >= 0:
+        of = moving[carrier]
+        wx, wy, wz = of[0, 0], of[0, 1], of[0, 2]
+        bx, by, bz = of[1, 0], of[1, 1], of[1, 2]
+        ax, ay, az = of[2, 0], of[2, 1], of[2, 2]
+    dot, square = wx * p[0] + wy * p[1] + wz * p[2], wx * wx + wy * wy + wz * wz
+    ax += by * p[2] - bz * p[1] + wx * dot - p[0] * square
+    ay += bz * p[0] - bx * p[2] + wy * dot - p[1] * square
+    az += bx * p[1] - by * p[0] + wz * dot - p[2] * square
+    for k in range(3):
+        x, y, z = rotation[0, k], rotation[1, k], rotation[2, k]
+        out[0, k] = x * wx + y * wy + z * wz
+        out[1, k] = x * bx + y * by + z * bz
+        out[2, k] = x * ax + y * ay + z * az
+
+
+@inlined
+def hinged(axis: FloatArray, qd: float, qdd: float, of: FloatArray) -> None:
+    """Add the joint's own turning, in place."""
+    x, y, z = axis[0], axis[1], axis[2]
+    wx, wy, wz = of[0, 0], of[0, 1], of[0, 2]
+    of[1, 0] += qdd * x + qd * (wy * z - wz * y)
+    of[1, 1] += qdd * y + qd * (wz * x - wx * z)
+    of[1, 2] += qdd * z + qd * (wx * y - wy * x)
+    of[0, 0], of[0, 1], of[0, 2] = wx + qd * x, wy + qd * y, wz + qd * z
+
+
+@inlined
+def handed_down(r: FloatArray, p: FloatArray, wrench: FloatArray) -> None:
+    """Turn forces and moments about a link's origin into those about its carrier's."""
+    for c in range(wrench.shape[1]):
+        f, g, h = wrench[0, c], wrench[1, c], wrench[2, c]
+        x, y, z = wrench[3, c], wrench[4, c], wrench[5, c]
+        for k in range(3):
+            wrench[k, c] = r[k, 0] * f + r[k, 1] * g + r[k, 2] * h
+            wrench[3 + k, c] = r[k, 0] * x + r[k, 1] * y + r[k, 2] * z
+        f, g, h = wrench[0, c], wrench[1, c], wrench[2, c]
+        wrench[3, c] += p[1] * h - p[2] * g
+        wrench[4, c] += p[2] * f - p[0] * h
+        wrench[5, c] += p[0] * g - p[1] * f
