@@ -1,0 +1,137 @@
+"""Wrong readings in a row, dropouts, and holes in time: found, not counted, and no reason to doubt."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labhil.diagnose.intake import TOLERATED, Kind, faults_of, usable, without_spikes
+from labhil.identify.plausibility import doubts_of
+from labhil.identify.problem import Problem
+from labhil.identify.windows import HOLE, fit_windows, noise_of, scored_windows
+from labhil.physics.model import UNREAD, Record
+from labhil.physics.rigs import model_for
+from labhil.rig import default_rig
+from labhil_benchmarks.statistics.cases import driven, levels
+
+DRY = ("viscous_friction", "coulomb_friction")
+CHANNELS = {
+    "dc_motor": (("speed", "rad/s"), ("current", "A")),
+    "axis": (("position", "m"),),
+}
+
+
+def moving(kind: str, seed: int = 0, n: int = 1500, dwell: int = 40) -> Record:
+    random = np.random.default_rng(seed)
+    u = levels(n, dwell, 5.0 if kind == "dc_motor" else 80.0, random)
+    period = 0.01 if kind == "dc_motor" else 0.005
+    return driven(kind, u, period, {}, DRY, 40.0, False, random, CHANNELS[kind])[0]
+
+
+def with_first(record: Record, x: np.ndarray) -> Record:
+    return replace(record, outputs=np.column_stack([x, record.outputs[:, 1:]]))
+
+
+def without_rows(record: Record, *cuts: tuple[int, int]) -> Record:
+    kept = np.delete(np.arange(len(record)), np.concatenate([np.arange(*cut) for cut in cuts]))
+    return replace(record, t=record.t[kept], inputs=record.inputs[kept], outputs=record.outputs[kept])
+
+
+@pytest.mark.parametrize("kind", CHANNELS)
+@pytest.mark.parametrize("width", [2, 3, 5, 8])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_wrong_readings_in_a_row_are_found_and_do_not_count(kind, width, sign):
+    record = moving(kind)
+    x, jumps = record.outputs[:, 0].copy(), np.flatnonzero(np.diff(record.inputs[:, 0]))
+    # one begins right at a jump of the input
+    places = np.array([130, 512, jumps[20] + 1])
+    for place in places:
+        x[place : place + width] += sign * 0.8 * np.ptp(record.outputs[:, 0])
+    hit = with_first(record, x)
+    (fault,) = faults_of(hit)
+    assert fault.kind is Kind.OUTLIER
+    assert f"up to {width} samples" in fault.statement
+    wrong = np.unique((np.sort(places)[:, None] + np.arange(width)).ravel())
+    counted = 3 * width <= TOLERATED[Kind.OUTLIER] * len(record)
+    assert fault.mended == counted == usable(hit, (fault,)).fit
+    if counted:
+        mended = without_spikes(hit)
+        assert np.flatnonzero(mended.censored[:, 0] == UNREAD).tolist() == wrong.tolist()
+        assert np.abs(mended.outputs - record.outputs).max() < 0.3 * np.ptp(record.outputs[:, 0])
+
+
+@pytest.mark.parametrize("length", [3, 12, 60])
+@pytest.mark.parametrize("value", [0.0, -0.125])
+def test_a_channel_that_drops_out_and_comes_back_is_named(length, value):
+    record = moving("axis", seed=3)
+    record = with_first(record, record.outputs[:, 0] + 2.0)
+    x = record.outputs[:, 0].copy()
+    x[700 : 700 + length] = value
+    (fault,) = faults_of(with_first(record, x))
+    assert fault.times == ((record.t[700], record.t[700 + length - 1]),)
+    few = length / len(record) <= TOLERATED[Kind.STUCK]
+    assert fault.kind is (Kind.OUTLIER if length == 3 else Kind.STUCK)
+    assert fault.mended is few
+    assert "do not count" in fault.statement if few else f"drops out to {value:g}" in fault.statement
+
+
+def test_a_sensor_that_drops_out_to_zero_does_not_wrap():
+    record = moving("axis", seed=3)
+    x = np.round(record.outputs[:, 0] * 0.0 + 0.0064, 6) + 1e-7 * np.arange(len(record))
+    for place in (100, 400, 801):
+        x[place : place + 2] = 0.0
+    assert Kind.WRAPPED not in {fault.kind for fault in faults_of(with_first(record, x))}
+
+
+def test_a_pulse_that_every_large_step_of_the_input_makes_is_no_burst():
+    """The answer of a fast winding, two samples wide; a step of a third of the size makes none to be seen."""
+    record = moving("dc_motor")
+    jumps = np.flatnonzero(np.diff(record.inputs[:, 0])) + 1
+    x = record.outputs[:, 0].copy()
+    for jump in jumps[:-1]:
+        x[jump : jump + 2] += 0.3 * (record.inputs[jump, 0] - record.inputs[jump - 1, 0])
+    assert faults_of(with_first(record, x)) == ()
+
+
+def test_slips_out_of_rest_are_no_bursts():
+    record = moving("dc_motor")
+    random = np.random.default_rng(1)
+    x = noise_of(record)[0] * random.standard_normal(len(record))
+    for place in range(60, len(record) - 60, 90):
+        x[place : place + 3] += 2.0
+    ramp = replace(record, inputs=np.linspace(0.0, 1.0, len(record))[:, None])
+    assert Kind.OUTLIER not in {fault.kind for fault in faults_of(with_first(ramp, x))}
+
+
+def test_what_was_not_read_leaves_no_residual():
+    record = moving("dc_motor")
+    x = record.outputs[:, 0].copy()
+    x[300:303] += 50.0
+    mended = without_spikes(with_first(record, x))
+    model = model_for(default_rig("dc_motor"), mended)
+    base = np.array([parameter.scale for parameter in model.parameters])
+    problem = Problem(model, mended, fit_windows(mended, 1.0), np.empty(0, int), base, np.ones(2))
+    left = problem.residuals_at(base, problem.guess).reshape(-1, 2)
+    at = np.isin(problem.windows.rows, [300, 301, 302])
+    assert not left[at, 0].any()
+    assert left[~at, 0].all()
+
+
+def test_windows_end_at_a_hole_and_bridge_a_lost_sample():
+    record = without_rows(moving("dc_motor"), (300, 301), (600, 800), (1000, 1060))
+    holes = np.flatnonzero(np.diff(record.t) > HOLE * 0.01) + 1
+    assert len(holes) == 2
+    for windows in (fit_windows(record, 1.3), fit_windows(record, 100.0), scored_windows(record, 1.0).whole):
+        for hole in holes:
+            assert not np.any((windows.first < hole) & (windows.last > hole))
+        assert np.any((windows.first < 300) & (windows.last > 300))
+    whole = moving("dc_motor")
+    assert len(fit_windows(whole, 1.3)) == round(14.99 / 1.3)
+
+
+@pytest.mark.parametrize("cut", [(100, 220), (700, 705), (900, 1400)])
+def test_a_hole_in_time_is_no_reason_to_doubt_units_or_signs(cut):
+    record = without_rows(moving("dc_motor", seed=2), cut)
+    assert doubts_of(record, default_rig("dc_motor")) == ()
