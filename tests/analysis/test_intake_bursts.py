@@ -14,6 +14,7 @@ from labhil.identify.windows import HOLE, fit_windows, noise_of, scored_windows
 from labhil.physics.model import UNREAD, Record
 from labhil.physics.rigs import model_for
 from labhil.rig import default_rig
+from labhil.signals import Hold
 from labhil_benchmarks.statistics.cases import driven, levels
 
 DRY = ("viscous_friction", "coulomb_friction")
@@ -135,3 +136,36 @@ def test_windows_end_at_a_hole_and_bridge_a_lost_sample():
 def test_a_hole_in_time_is_no_reason_to_doubt_units_or_signs(cut):
     record = without_rows(moving("dc_motor", seed=2), cut)
     assert doubts_of(record, default_rig("dc_motor")) == ()
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("period", [0.01, 0.02])
+def test_a_chopped_current_that_looks_like_white_noise_is_named(period, sign):
+    """On for as much of the time as the duty says, sampled at any moment: no two samples go together."""
+    random = np.random.default_rng(7)
+    duty = np.repeat(random.uniform(-0.9, 0.9, 50), 40)
+    t = period * np.arange(len(duty))
+    speed = np.convolve(duty, np.exp(-np.arange(200) / 30.0))[: len(t)] + 0.02 * random.standard_normal(
+        len(t)
+    )
+    conducting = random.uniform(size=len(t)) < np.abs(duty)
+    current = 4.0 * np.sign(duty) * conducting + 0.01 * random.standard_normal(len(t))
+    names = (("voltage",), ("speed", "current"), ("rad/s", "A"), (Hold.ZERO,))
+    record = Record(t, 12.0 * sign * duty[:, None], sign * np.column_stack([speed, current]), *names)
+    (fault,) = (each for each in faults_of(record) if each.channel == "current")
+    assert fault.kind is Kind.UNDERSAMPLED
+    assert "chopper" in fault.statement and not usable(record, (fault,)).fit
+    # as large a noise that goes both ways is noise
+    noisy = speed + np.std(speed) * random.standard_normal(len(t))
+    loud = replace(record, outputs=np.column_stack([noisy, speed]))
+    assert Kind.UNDERSAMPLED not in {each.kind for each in faults_of(loud)}
+
+
+def test_counts_of_an_encoder_are_no_chopped_current():
+    random = np.random.default_rng(8)
+    t = 0.01 * np.arange(2000)
+    angle = np.cumsum(np.repeat(random.uniform(0.0, 1.5, 40), 50))
+    counts = np.diff(np.floor(angle), prepend=0.0)
+    names = (("voltage",), ("speed",), ("rad/s",), (Hold.ZERO,))
+    record = Record(t, np.repeat(random.uniform(0.0, 5.0, 40), 50)[:, None], counts[:, None] * 0.7, *names)
+    assert Kind.UNDERSAMPLED not in {fault.kind for fault in faults_of(record)}
