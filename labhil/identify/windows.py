@@ -137,15 +137,28 @@ def all_of(record: Record) -> ScoredWindows:
 
 
 def split(record: Record, share: float, gap: float) -> tuple[Record, Record]:
-    """Hold out the last ``share`` of each recording, contiguous, after a gap of ``gap`` s."""
+    """Hold out the last ``share`` of each recording, contiguous, after a gap of ``gap`` s.
+
+    The time of holes does not count.
+    """
     parts = [_split(each, share, gap) for each in record.recordings()]
     return joined([learn for learn, _ in parts]), joined([held_out for _, held_out in parts])
 
 
 def _split(record: Record, share: float, gap: float) -> tuple[Record, Record]:
-    start = record.t[-1] - share * (record.t[-1] - record.t[0])
-    cut = int(np.searchsorted(record.t, start - gap))
-    return record.part(0, cut), record.part(int(np.searchsorted(record.t, start)), len(record))
+    t = _without_holes(record.t)
+    start = t[-1] - share * (t[-1] - t[0])
+    cut = int(np.searchsorted(t, start - gap))
+    return record.part(0, cut), record.part(int(np.searchsorted(t, start)), len(record))
+
+
+def _without_holes(t: FloatArray) -> FloatArray:
+    """Times (n,) with a usual step in the place of each hole."""
+    step = np.diff(t)
+    long = step > HOLE * np.median(step) if len(step) else step > 0.0
+    if not long.any():
+        return t
+    return np.asarray(t[0] + np.r_[0.0, np.cumsum(np.where(long, np.median(step), step))])
 
 
 def noise_of(record: Record) -> FloatArray:

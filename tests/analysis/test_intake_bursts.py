@@ -10,7 +10,7 @@ import pytest
 from labhil.diagnose.intake import TOLERATED, Kind, faults_of, usable, without_spikes
 from labhil.identify.plausibility import doubts_of
 from labhil.identify.problem import Problem
-from labhil.identify.windows import HOLE, fit_windows, noise_of, scored_windows
+from labhil.identify.windows import HOLE, fit_windows, noise_of, scored_windows, split
 from labhil.physics.model import UNREAD, Record
 from labhil.physics.rigs import model_for
 from labhil.rig import default_rig
@@ -169,3 +169,22 @@ def test_counts_of_an_encoder_are_no_chopped_current():
     names = (("voltage",), ("speed",), ("rad/s",), (Hold.ZERO,))
     record = Record(t, np.repeat(random.uniform(0.0, 5.0, 40), 50)[:, None], counts[:, None] * 0.7, *names)
     assert Kind.UNDERSAMPLED not in {fault.kind for fault in faults_of(record)}
+
+
+def test_what_is_held_out_is_a_share_of_the_time_that_was_recorded():
+    whole = moving("dc_motor")
+    pause = replace(whole, t=whole.t + np.where(np.arange(len(whole)) >= 5, 300.0, 0.0))
+    for learn, judge in (split(whole, 0.3, 1.0), split(pause, 0.3, 1.0)):
+        assert len(learn) == pytest.approx(950, abs=2)
+        assert len(judge) == pytest.approx(450, abs=2)
+
+
+def test_long_holes_leave_the_rest_fit_for_a_verdict_and_many_lost_samples_do_not():
+    record = moving("dc_motor")
+    paused = without_rows(record, (200, 900))
+    (fault,) = faults_of(paused)
+    assert fault.kind is Kind.GAP and "47 % of the recording" in fault.statement
+    assert usable(paused, (fault,)).fit
+    torn = without_rows(record, *((k, k + 4) for k in range(20, 1480, 11)))
+    found = faults_of(torn)
+    assert not usable(torn, found).fit
