@@ -157,11 +157,11 @@ def _measured(record: Record, sigma: FloatArray) -> list[Channel]:
     ]
     arm = bool(record.output_joints and record.output_joints[0] is not None)
     asked = np.column_stack([np.empty((len(record), 0)), *(x for n, x in named.items() if _planned(n))])
-    channels += [
-        Channel(name, None, x, _noise(x), np.delete(record.inputs, j, axis=1) if arm else asked, rests=True)
-        for j, (name, x) in enumerate(zip(record.input_names, record.inputs.T, strict=True))
-        if arm or name in MEASURED_INPUTS
-    ]
+    for j, (name, x) in enumerate(zip(record.input_names, record.inputs.T, strict=True)):
+        if (arm and not _planned(name)) or name in MEASURED_INPUTS:
+            drive = np.delete(record.inputs, j, axis=1) if arm else asked
+            pulses = arm or not drive.shape[1]
+            channels.append(Channel(name, None, x, _noise(x), drive, rests=True, pulses=pulses))
     return channels
 
 
@@ -188,8 +188,7 @@ def _wrong_readings(channel: Channel) -> tuple[tuple[Kind, IntArray], tuple[Kind
     sigma = max(channel.sigma, converter_step(x) / np.sqrt(12.0))
     lone = spikes(x, sigma, channel.drive)
     single = np.column_stack([lone, lone])
-    if not channel.drive.shape[1]:
-        # somebody may have asked for a pulse where nothing is known of what was asked for
+    if channel.pulses:
         return (Kind.OUTLIER, single), (Kind.STUCK, NO_SPANS)
     few = bursts(without(x, single), sigma, channel.drive, rate=not channel.position)
     both = np.concatenate([single, few])

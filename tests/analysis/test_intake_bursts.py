@@ -15,6 +15,7 @@ from labhil.physics.model import UNREAD, Record
 from labhil.physics.rigs import model_for
 from labhil.rig import default_rig
 from labhil.signals import Hold
+from labhil_benchmarks.statistics.arm import arm
 from labhil_benchmarks.statistics.cases import driven, levels
 
 DRY = ("viscous_friction", "coulomb_friction")
@@ -188,3 +189,15 @@ def test_long_holes_leave_the_rest_fit_for_a_verdict_and_many_lost_samples_do_no
     torn = without_rows(record, *((k, k + 4) for k in range(20, 1480, 11)))
     found = faults_of(torn)
     assert not usable(torn, found).fit
+
+
+def test_accelerations_that_are_planned_may_stand_still_and_jump():
+    record = arm(1, False).record
+    planned = np.tile(np.repeat([0.0, 2.0, 0.0, -2.0, 0.0, -1.0], 13), len(record))[: len(record)]
+    more = replace(
+        record,
+        inputs=np.column_stack([record.inputs, planned]),
+        input_names=(*record.input_names, "target_qdd_0"),
+        input_holds=(*record.input_holds, Hold.LINEAR),
+    )
+    assert faults_of(more) == faults_of(record) == ()
