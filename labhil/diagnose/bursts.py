@@ -15,6 +15,7 @@ from labhil.diagnose.jumps import (
     BEYOND_MOTION,
     BEYOND_NOISE,
     ENOUGH,
+    NOTABLE,
     ROUNDS,
     answers,
     jump_sizes,
@@ -24,6 +25,12 @@ from labhil.signals import FloatArray, IntArray
 
 WIDEST = 8
 """Samples of a burst at most. Longer ones are told by their silence, as a channel that is stuck."""
+
+END = 3
+"""Samples of a burst at most with which a recording begins or ends."""
+
+LEAP = 2.0
+"""Its one edge, in largest changes elsewhere in the recording."""
 
 REST = 4.0
 """A reading is where another is within so many standard deviations of its noise; a rate at zero rests."""
@@ -64,11 +71,33 @@ def bursts(x: FloatArray, sigma: float, inputs: FloatArray, *, rate: bool) -> In
 
 
 def without(x: FloatArray, spans: IntArray) -> FloatArray:
-    """A channel (n,) with a straight line in the place of each span (k, 2)."""
-    calm = x.copy()
-    for first, last in spans.tolist():
-        calm[first : last + 1] = np.linspace(calm[first - 1], calm[last + 1], last - first + 3)[1:-1]
-    return calm
+    """A channel (n,) with a straight line in the place of each span (k, 2), at an end its neighbour."""
+    kept = np.flatnonzero(~within(spans, len(x)))
+    return np.asarray(np.interp(np.arange(len(x)), kept, x[kept])) if len(kept) else x
+
+
+def at_ends(x: FloatArray, sigma: float, inputs: FloatArray) -> IntArray:
+    """The wrong readings that a channel (n,) begins or ends with, (k, 2).
+
+    They have one edge only, so it has to be beyond all else that the channel does in the recording, too.
+    """
+    if len(x) < 2 * END + 2 * WIDEST:
+        return NO_SPANS
+    found = [(0, width - 1) for width in _begins_with(x, sigma, inputs)]
+    found += [(len(x) - width, len(x) - 1) for width in _begins_with(x[::-1], sigma, inputs[::-1])]
+    return np.array(found, dtype=np.int64).reshape(-1, 2)
+
+
+def _begins_with(x: FloatArray, sigma: float, inputs: FloatArray) -> list[int]:
+    """How many wrong readings a channel begins with; none where it does not."""
+    change = np.abs(np.diff(x))
+    largest = float(change[END:].max())
+    for width in range(END, 0, -1):
+        edge = change[width - 1]
+        jumps = np.abs(np.diff(inputs[: width + 2], axis=0)) > NOTABLE * np.ptp(inputs, axis=0)
+        if edge > max(BEYOND_NOISE * sigma, LEAP * largest) and not jumps.any():
+            return [width]
+    return []
 
 
 def within(spans: IntArray, n: int) -> np.ndarray:

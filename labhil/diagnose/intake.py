@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labhil.diagnose.bursts import NO_SPANS, bursts, dropouts, within, without
+from labhil.diagnose.bursts import NO_SPANS, at_ends, bursts, dropouts, within, without
 from labhil.diagnose.fault import Channel, Fault, Kind, fault_of, percent, when
 from labhil.diagnose.frozen import clipped, stuck
 from labhil.diagnose.input_faults import spikes_of_commands
@@ -91,7 +91,7 @@ def faults(record: Record, sigma: FloatArray) -> tuple[Fault, ...]:
     for channel in _measured(record, sigma):
         found += _of_channel(record, channel)
     found += _of_commands(record)
-    return (*found, *leads(record), *clock_drifts(record), *no_excitation(record, sigma))
+    return (*found, *leads(record), *clock_drifts(record), *no_excitation(with_censored(record), sigma))
 
 
 def with_censored(record: Record) -> Record:
@@ -192,6 +192,7 @@ def _wrong_readings(channel: Channel) -> tuple[tuple[Kind, IntArray], tuple[Kind
         return (Kind.OUTLIER, single), (Kind.STUCK, NO_SPANS)
     few = bursts(without(x, single), sigma, channel.drive, rate=not channel.position)
     both = np.concatenate([single, few])
+    both = np.concatenate([both, at_ends(without(x, both), sigma, channel.drive)])
     both = both[np.argsort(both[:, 0])]
     away = dropouts(without(x, both), sigma, channel.drive, rate=not channel.position)
     return (Kind.OUTLIER, both), (Kind.STUCK, np.column_stack([away.first, away.last - 1]))

@@ -90,6 +90,9 @@ def _swings(record: Record, j: int, sigma: float) -> str | None:
         return None
     moved = np.abs(np.diff(record.inputs, axis=0, prepend=record.inputs[:1]))
     still = ~(maximum_filter1d(moved, MEAN_OVER, axis=0) > STILL * np.ptp(record.inputs, axis=0)).any(axis=1)
+    if record.censored is not None:
+        # a sensor that knows one direction only is another matter
+        still &= record.censored[:, j] == 0
     reads = uniform_filter1d(x, MEAN_OVER)
     third = np.diff(x, 3)
     # a part at rest may show no noise at all

@@ -201,3 +201,18 @@ def test_accelerations_that_are_planned_may_stand_still_and_jump():
         input_holds=(*record.input_holds, Hold.LINEAR),
     )
     assert faults_of(more) == faults_of(record) == ()
+
+
+@pytest.mark.parametrize("kind", CHANNELS)
+@pytest.mark.parametrize("width", [1, 3])
+@pytest.mark.parametrize("at_the_end", [False, True])
+def test_wrong_readings_at_an_end_are_found(kind, width, at_the_end):
+    record = moving(kind, seed=5)
+    x = record.outputs[:, 0] + np.ptp(record.outputs[:, 0])
+    places = np.arange(len(x) - width, len(x)) if at_the_end else np.arange(width)
+    x[places] = 0.0
+    hit = with_first(record, x)
+    (fault,) = faults_of(hit)
+    assert (fault.kind, fault.mended) == (Kind.OUTLIER, True)
+    assert fault.times == ((record.t[places[0]], record.t[places[-1]]),)
+    assert np.flatnonzero(without_spikes(hit).censored[:, 0] == UNREAD).tolist() == places.tolist()
