@@ -111,7 +111,8 @@ def within(spans: IntArray, n: int) -> np.ndarray:
 def dropouts(x: FloatArray, sigma: float, inputs: FloatArray, *, rate: bool) -> Runs:
     """Runs of equal readings of a channel (n,) that it jumps into and back out of.
 
-    A part that comes to rest, or starts from it, takes its time; what the inputs explain does not count.
+    A part that comes to rest, or starts from it, takes its time; what the inputs explain does not count. A
+    ``rate`` may follow a held input from level to level: there only zero counts, or one value each time.
     """
     runs = runs_of(x)
     usual = float(np.median(runs.length))
@@ -124,6 +125,9 @@ def dropouts(x: FloatArray, sigma: float, inputs: FloatArray, *, rate: bool) -> 
     least = np.maximum(BEYOND_NOISE * sigma, BEYOND_MOTION * _usual_around(x, runs.first, runs.last))
     # readings that go on by chance near the one value that stands still for the sensor leave it by little
     runs = runs.chosen((rise * fall < 0.0) & (larger > least) & (smaller > REST * sigma))
+    value, times = np.unique(x[runs.first], return_counts=True)
+    known = (value == 0.0) | (times > 1) | (not rate)
+    runs = runs.chosen(known[np.searchsorted(value, x[runs.first])])
     return runs.chosen(~_explained(jump_sizes(inputs), runs.first, runs.last, rate=rate))
 
 

@@ -55,8 +55,7 @@ class Channel:
     """One column with what is known of it: its name, joint, values (n,) and noise.
 
     ``drive`` (n, m) are the inputs that may move it at once; ``position`` says that it cannot jump,
-    ``rests`` that it may be silent at any value, ``pulses`` that short pulses may be its own: somebody may
-    ask for them, and joints of an arm jolt each other.
+    ``rests`` that it may be silent at any value and leave it for a while: what drives it is not known.
     """
 
     name: str
@@ -66,7 +65,6 @@ class Channel:
     drive: FloatArray
     position: bool = False
     rests: bool = False
-    pulses: bool = False
 
     @property
     def called(self) -> str:

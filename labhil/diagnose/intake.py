@@ -149,19 +149,14 @@ def usable(record: Record, found: Sequence[Fault]) -> Usable:
 def _measured(record: Record, sigma: FloatArray) -> list[Channel]:
     """Outputs, the other channels, and the inputs where they are measured too (those of an arm's joints)."""
     channels = _outputs(record, sigma)
-    named = record.auxiliary
-    channels += [
-        Channel(name, None, x, _noise(x), record.inputs, rests=True)
-        for name, x in named.items()
-        if not _planned(name)
-    ]
+    others = {name: x for name, x in record.auxiliary.items() if not _planned(name)}
+    channels += [Channel(name, None, x, _noise(x), record.inputs, rests=True) for name, x in others.items()]
     arm = bool(record.output_joints and record.output_joints[0] is not None)
-    asked = np.column_stack([np.empty((len(record), 0)), *(x for n, x in named.items() if _planned(n))])
-    for j, (name, x) in enumerate(zip(record.input_names, record.inputs.T, strict=True)):
-        if (arm and not _planned(name)) or name in MEASURED_INPUTS:
-            drive = np.delete(record.inputs, j, axis=1) if arm else asked
-            pulses = arm or not drive.shape[1]
-            channels.append(Channel(name, None, x, _noise(x), drive, rests=True, pulses=pulses))
+    channels += [
+        Channel(name, None, x, _noise(x), np.delete(record.inputs, j, axis=1), rests=True)
+        for j, (name, x) in enumerate(zip(record.input_names, record.inputs.T, strict=True))
+        if (arm and not _planned(name)) or name in MEASURED_INPUTS
+    ]
     return channels
 
 
@@ -186,9 +181,10 @@ def _wrong_readings(channel: Channel) -> tuple[tuple[Kind, IntArray], tuple[Kind
     """First and last samples (k, 2) of spikes and bursts of a channel that does not wrap, and of dropouts."""
     x = channel.values
     sigma = max(channel.sigma, converter_step(x) / np.sqrt(12.0))
-    lone = spikes(x, sigma, channel.drive)
+    lone = spikes(x, sigma, channel.drive, any_jump=channel.rests)
     single = np.column_stack([lone, lone])
-    if channel.pulses:
+    if channel.rests:
+        # a pulse may have been asked for, an amplifier may have been off, joints of an arm jolt each other
         return (Kind.OUTLIER, single), (Kind.STUCK, NO_SPANS)
     few = bursts(without(x, single), sigma, channel.drive, rate=not channel.position)
     both = np.concatenate([single, few])

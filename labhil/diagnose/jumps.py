@@ -54,25 +54,26 @@ ALONE = 0.2
 """What comes right before and after a step of the zero is below this share of it."""
 
 
-def spikes(x: FloatArray, sigma: float, inputs: FloatArray) -> IntArray:
+def spikes(x: FloatArray, sigma: float, inputs: FloatArray, *, any_jump: bool = False) -> IntArray:
     """Places of single samples of a channel (n,) that stand out from both neighbours, (k,).
 
-    ``sigma`` is the channel's noise, ``inputs`` (n, m) drive the rig.
+    ``sigma`` is the channel's noise, ``inputs`` (n, m) drive the rig. Where more than these drives the
+    channel, ``any_jump`` of an input explains what is close upon it.
     """
     if len(x) < 2 * REACH + 3:
         return np.empty(0, dtype=np.int64)
     sizes, calm = jump_sizes(inputs), x.copy()
+    near = np.asarray((sizes > 0.0).any(axis=1))
     found: list[int] = []
     for _ in range(ROUNDS):
         places = _standing_out(calm, sigma)
-        places = places[~answers(sizes, places, places)]
+        places = places[~(near[places] if any_jump else answers(sizes, places, places))]
         if not len(places):
             break
         # spikes that stand close together hide each other
         calm[places] = 0.5 * (calm[places - 1] + calm[places + 1])
         found += places.tolist()
     sure = np.array(sorted(found), dtype=np.int64)
-    near = np.asarray((sizes > 0.0).any(axis=1))
     return np.sort(np.concatenate([sure, _alike(x, sure, _standing_out(calm, sigma), near)]))
 
 
