@@ -39,24 +39,31 @@ def _with_holds(
     table: ImportedTable, record: Record, progress: Callable[[str], None]
 ) -> tuple[ImportedTable, Record, list[str]]:
     """The table and its record with the hold of each input, and a line about each."""
-    if len(record.input_names) != 1:
+    if any(joint is not None for joint in record.output_joints):
         # positions and rates of joints are measured; inverse dynamics takes them at their samples
         return table, record, []
-    name, default = record.input_names[0], record.input_holds[0]
+    holds, lines = {}, []
+    for place, name in enumerate(record.input_names):
+        holds[name], line = _hold_of(table, record, place, progress)
+        lines.append(line)
+    signals = tuple(replace(s, hold=holds.get(s.name, s.hold)) for s in table.stream.signals)
+    changed = replace(table, stream=replace(table.stream, signals=signals))
+    return changed, record.with_holds(holds), lines
+
+
+def _hold_of(
+    table: ImportedTable, record: Record, place: int, progress: Callable[[str], None]
+) -> tuple[Hold, str]:
+    """How the input ``place`` runs between samples, and a line about it."""
+    name, default = record.input_names[place], record.input_holds[place]
     channel = table.rig.channels.get(name)
     if channel is not None and channel.hold is not None:
-        return table, record, [f"{name}: {WORDS[default]} between samples, as [channels] states"]
-    hold, why = evident_hold(record.inputs[:, 0]), "it jumps between levels"
-    if hold is None:
+        return default, f"{name}: {WORDS[default]} between samples, as [channels] states"
+    hold, why = evident_hold(record.inputs[:, place]), "it jumps between levels"
+    if hold is None and len(record.input_names) == 1:
         progress(f"comparing {name} held and straight between samples")
         hold, why = better_hold(model_for(table.rig, record), record), "since a model predicts better so"
     if hold is None:
         hold, why = default, f"as is usual for {table.rig.kind.name}"
     key = f'[channels] {name} = {{ …, hold = "{"linear" if hold is Hold.ZERO else "zero"}" }} says otherwise'
-    signals = tuple(replace(s, hold=hold) if s.name == name else s for s in table.stream.signals)
-    changed = replace(table, stream=replace(table.stream, signals=signals))
-    return (
-        changed,
-        replace(record, input_holds=(hold,)),
-        [f"{name}: {WORDS[hold]} between samples, {why}; {key}"],
-    )
+    return hold, f"{name}: {WORDS[hold]} between samples, {why}; {key}"

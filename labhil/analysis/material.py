@@ -275,12 +275,13 @@ def _held_out(
 
     Raises RecordingError where too little is left of a recording.
     """
-    halves = [split(each, holdout, model.horizon) for each in measured.recordings()]
+    # how many readings are wrong is a matter of the whole recording, as its faults are
+    halves = [split(each, holdout, model.horizon) for each in without_spikes(measured).recordings()]
     if len(halves) > 1:
         # before they are put together, which none of them may be missing from
         for (learn, _), recording in zip(halves, recordings, strict=True):
             _long_enough(learn, recording)
-    learn, judge = (model.prepare(without_spikes(joined(half))) for half in zip(*halves, strict=True))
+    learn, judge = (model.prepare(joined(half)) for half in zip(*halves, strict=True))
     for part, recording in zip(learn.recordings(), recordings, strict=True):
         _long_enough(part, recording)
     return learn, judge

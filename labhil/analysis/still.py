@@ -37,9 +37,12 @@ def refuse_still(path: Path, record: Record, metric: Metric) -> None:
     joints = [joint for joint in record.output_joints if joint is not None]
     if stuck.any() and not joints:
         which = ", ".join(name for name, dead in zip(record.output_names, stuck, strict=True) if dead)
+        # dry friction holds a part at exactly nothing, too
+        rests = not record.outputs[:, stuck].any()
+        rest = ", and whether the part only stood still: then drive it beyond break-away" if rests else ""
         raise RecordingError(
             f"{path}: expected readings of {which}, {found} while other outputs move. See whether its sensor "
-            f"is connected; to fit without it, import the table without the column {which}"
+            f"is connected{rest}; to fit without it, import the table without the column {which}"
         )
     if constant(record.inputs).all():
         _refuse_unmoved(path, record, metric)

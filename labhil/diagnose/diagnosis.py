@@ -254,7 +254,7 @@ def _simpler(free: Found, held: Found) -> Found:
 def _excited(record: Record, sigma: np.ndarray) -> bool:
     """Whether some output moves beyond its noise and the input moves at all."""
     return any(
-        bool((np.std(each.outputs, axis=0) > 5.0 * sigma).any() and np.std(each.inputs[:, 0]) > 0)
+        bool((np.std(each.outputs, axis=0) > 5.0 * sigma).any() and np.ptp(each.inputs, axis=0).any())
         for each in record.recordings()
     )
 

@@ -34,10 +34,10 @@ class Kind(StrEnum):
 class Fault:
     """One fault of one channel (``channel`` "t" for the time itself).
 
-    ``times`` are spans (begin, end) in s of the record; ``share`` is the part of the
-    samples (of the time, for gaps) that is affected; ``statement`` says what, where, when, how much and
-    what to do about it. Of several recordings ``recording`` is the one, in whose own time ``times`` are. What
-    is ``mended`` takes nothing from numbers that are calculated from the data.
+    ``times`` are spans (begin, end) in s of the record; ``share`` is the part of the samples that is
+    affected, for gaps that of the time which windows bridge; ``statement`` says what, where, when, how much
+    and what to do about it. Of several recordings ``recording`` is the one, in whose own time ``times`` are.
+    What is ``mended`` takes nothing from numbers that are calculated from the data.
     """
 
     kind: Kind
@@ -55,7 +55,7 @@ class Channel:
     """One column with what is known of it: its name, joint, values (n,) and noise.
 
     ``drive`` (n, m) are the inputs that may move it at once; ``position`` says that it cannot jump,
-    ``rests`` that it may be silent at any value.
+    ``rests`` that it may be silent at any value and leave it for a while: what drives it is not known.
     """
 
     name: str

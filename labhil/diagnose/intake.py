@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from labhil.diagnose.bursts import NO_SPANS, at_ends, bursts, dropouts, within, without
 from labhil.diagnose.fault import Channel, Fault, Kind, fault_of, percent, when
 from labhil.diagnose.frozen import clipped, stuck
 from labhil.diagnose.input_faults import spikes_of_commands
@@ -21,7 +22,7 @@ from labhil.diagnose.wraps import Wraps, wraps_of
 from labhil.identify.quantiser import converter_step
 from labhil.identify.windows import noise_of
 from labhil.physics.measured_input import MEASURED_INPUTS
-from labhil.physics.model import Record
+from labhil.physics.model import UNREAD, Record
 from labhil.signals import FloatArray, IntArray
 
 TOLERATED = {
@@ -90,7 +91,7 @@ def faults(record: Record, sigma: FloatArray) -> tuple[Fault, ...]:
     for channel in _measured(record, sigma):
         found += _of_channel(record, channel)
     found += _of_commands(record)
-    return (*found, *leads(record), *clock_drifts(record), *no_excitation(record, sigma))
+    return (*found, *leads(record), *clock_drifts(record), *no_excitation(with_censored(record), sigma))
 
 
 def with_censored(record: Record) -> Record:
@@ -110,21 +111,23 @@ def with_censored(record: Record) -> Record:
 
 
 def without_spikes(record: Record) -> Record:
-    """A record with the mean of both neighbours in the place of each single spike of an output.
+    """A record with a line between both neighbours in the place of each spike, burst or dropout of an output.
 
-    Where there are too many of them the record stays as it was measured.
+    They are marked as unread, so that they leave no residuals. Where there are too many of them the record
+    stays as it was measured.
     """
     if not len(record) or not np.isfinite(record.outputs).all():
         return record
     outputs = record.outputs.copy()
+    marks = np.zeros(outputs.shape, dtype=np.int64) if record.censored is None else record.censored.copy()
     for each, span in zip(record.recordings(), record.spans, strict=True):
         sigma = noise_of(each) if len(each) > 3 else np.zeros(outputs.shape[1])
         for j, channel in enumerate(_outputs(each, sigma)):
-            lone = _spikes_of(channel)
-            if len(lone) <= TOLERATED[Kind.OUTLIER] * len(each):
-                x = channel.values
-                outputs[span[0] + lone, j] = 0.5 * (x[lone - 1] + x[lone + 1])
-    return record if np.array_equal(outputs, record.outputs) else replace(record, outputs=outputs)
+            for kind, wrong in _wrong_readings(channel):
+                if _samples_in(wrong) <= TOLERATED[kind] * len(each):
+                    outputs[slice(*span), j] = without(outputs[slice(*span), j], wrong)
+                    marks[slice(*span), j][within(wrong, len(each))] = UNREAD
+    return replace(record, outputs=outputs, censored=marks) if np.any(marks == UNREAD) else record
 
 
 def usable(record: Record, found: Sequence[Fault]) -> Usable:
@@ -152,7 +155,7 @@ def _measured(record: Record, sigma: FloatArray) -> list[Channel]:
     channels += [
         Channel(name, None, x, _noise(x), np.delete(record.inputs, j, axis=1), rests=True)
         for j, (name, x) in enumerate(zip(record.input_names, record.inputs.T, strict=True))
-        if arm or name in MEASURED_INPUTS
+        if (arm and not _planned(name)) or name in MEASURED_INPUTS
     ]
     return channels
 
@@ -174,10 +177,25 @@ def _noise(x: FloatArray) -> float:
     return float(noise_of(single)[0]) if len(x) > 3 else 0.0
 
 
-def _spikes_of(channel: Channel) -> IntArray:
-    """Places of single spikes of a channel that does not wrap, (k,)."""
+def _wrong_readings(channel: Channel) -> tuple[tuple[Kind, IntArray], tuple[Kind, IntArray]]:
+    """First and last samples (k, 2) of spikes and bursts of a channel that does not wrap, and of dropouts."""
     x = channel.values
-    return spikes(x, max(channel.sigma, converter_step(x) / np.sqrt(12.0)), channel.drive)
+    sigma = max(channel.sigma, converter_step(x) / np.sqrt(12.0))
+    lone = spikes(x, sigma, channel.drive, any_jump=channel.rests)
+    single = np.column_stack([lone, lone])
+    if channel.rests:
+        # a pulse may have been asked for, an amplifier may have been off, joints of an arm jolt each other
+        return (Kind.OUTLIER, single), (Kind.STUCK, NO_SPANS)
+    few = bursts(without(x, single), sigma, channel.drive, rate=not channel.position)
+    both = np.concatenate([single, few])
+    both = np.concatenate([both, at_ends(without(x, both), sigma, channel.drive)])
+    both = both[np.argsort(both[:, 0])]
+    away = dropouts(without(x, both), sigma, channel.drive, rate=not channel.position)
+    return (Kind.OUTLIER, both), (Kind.STUCK, np.column_stack([away.first, away.last - 1]))
+
+
+def _samples_in(spans: IntArray) -> int:
+    return int(np.sum(spans[:, 1] - spans[:, 0] + 1))
 
 
 def _of_channel(record: Record, channel: Channel) -> list[Fault]:
@@ -186,17 +204,18 @@ def _of_channel(record: Record, channel: Channel) -> list[Fault]:
     found = [] if wraps is None else [wrapped(record, channel.name, channel.joint, wraps)]
     x = channel.values if wraps is None else np.unwrap(channel.values, period=wraps.period)
     sigma = max(channel.sigma, converter_step(x) / np.sqrt(12.0))
-    lone = _spikes_of(replace(channel, values=x))
-    calm = x.copy()
-    calm[lone] = x[lone - 1]
+    (_, wrong), (_, away) = _wrong_readings(replace(channel, values=x))
+    calm = without(without(x, wrong), away)
     limits = _ends_of_range(record, calm, drive)
     found += [_saturated(record, channel, limit) for limit in limits]
     runs = stuck(calm, drive, rests=channel.rests)
     runs = runs.chosen(~np.isin(calm[runs.first], limits))
     if len(runs.first):
         found.append(_stuck(record, channel, list(zip(runs.first, runs.last - 1, strict=True))))
-    if len(lone):
-        found.append(_outliers(record, channel, lone))
+    if len(away):
+        found.append(_dropped_out(record, channel, away))
+    if len(wrong):
+        found.append(_outliers(record, channel, wrong))
     if channel.position:
         # what was stuck jumps when it comes loose
         steps = np.setdiff1d(zero_steps(calm, sigma, drive), runs.last)
@@ -211,7 +230,8 @@ def _of_commands(record: Record) -> list[Fault]:
     for name, u in zip(record.input_names, record.inputs.T, strict=True):
         places = spikes_of_commands(u) if name not in measured else np.empty(0, dtype=np.int64)
         if len(places):
-            found.append(_outliers(record, Channel(name, None, u, _noise(u), record.inputs), places))
+            spans = np.column_stack([places, places])
+            found.append(_outliers(record, Channel(name, None, u, _noise(u), record.inputs), spans))
     return found
 
 
@@ -267,19 +287,38 @@ def _stuck(record: Record, channel: Channel, spans: Sequence[tuple[int, int]]) -
     )  # fmt: skip
 
 
-def _outliers(record: Record, channel: Channel, places: np.ndarray) -> Fault:
-    x = channel.values
-    heights = np.abs(x[places] - 0.5 * (x[places - 1] + x[places + 1]))
-    worst = int(np.argmax(heights))
-    share = len(places) / len(record)
-    spans = [(int(i), int(i)) for i in places]
-    mended = channel.name in record.output_names and share <= TOLERATED[Kind.OUTLIER]
-    advice = "the mean of their neighbours stands in their place" if mended else "leave these samples out"
+def _dropped_out(record: Record, channel: Channel, places: IntArray) -> Fault:
+    """Readings that jump to one value, stay there and jump back, in spans of samples (k, 2)."""
+    spans = [(int(first), int(last)) for first, last in places]
+    longest = max(spans, key=lambda span: span[1] - span[0])
+    share = _samples_in(places) / len(record)
+    mended = channel.name in record.output_names and share <= TOLERATED[Kind.STUCK]
+    advice = "these readings do not count" if mended else "cut these times out or record again"
     fault = fault_of(
-        record, channel, Kind.OUTLIER, spans, share,
-        f"{channel.called} has {len(places)} single spike{'s' if len(places) > 1 else ''} ({percent(share)} "
-        f"of the samples), the largest of {heights[worst]:.4g} at {record.t[places[worst]]:.4g} s, "
-        f"{heights[worst] / max(channel.sigma, 1e-300):.0f} times the noise. Look for loose contacts and "
+        record, channel, Kind.STUCK, spans, share,
+        f"{channel.called} drops out to {channel.values[longest[0]]:.6g}{when(record, spans)} "
+        f"({percent(share)} of the samples), the longest time for {longest[1] - longest[0] + 1} samples, and "
+        f"comes back at once: nothing that moves does. Check cable, sensor and converter; {advice}.",
+    )  # fmt: skip
+    return replace(fault, mended=mended)
+
+
+def _outliers(record: Record, channel: Channel, places: IntArray) -> Fault:
+    """Spikes and bursts, of which ``places`` (k, 2) are the first and last samples."""
+    x, count = channel.values, len(places)
+    off = np.abs(x - without(x, places))
+    worst = int(np.argmax(off))
+    share = _samples_in(places) / len(record)
+    widest = int(np.max(places[:, 1] - places[:, 0])) + 1
+    what = "single spike" if widest == 1 else f"spike{'s' if count > 1 else ''} of up to {widest} sample"
+    plural = "s" if count > 1 or widest > 1 else ""
+    mended = channel.name in record.output_names and share <= TOLERATED[Kind.OUTLIER]
+    advice = "they do not count" if mended else "leave these samples out"
+    fault = fault_of(
+        record, channel, Kind.OUTLIER, [(int(a), int(b)) for a, b in places], share,
+        f"{channel.called} has {count} {what}{plural} ({percent(share)} "
+        f"of the samples), the largest of {off[worst]:.4g} at {record.t[worst]:.4g} s, "
+        f"{off[worst] / max(channel.sigma, 1e-300):.0f} times the noise. Look for loose contacts and "
         f"disturbed transmission; {advice}.",
     )  # fmt: skip
     return replace(fault, mended=mended)

@@ -26,6 +26,15 @@ SUDDEN = 3.0
 NOTABLE = 0.02
 """Share of an input's range under which none of its changes is a jump: a measured input has noise."""
 
+AFTER_JUMP = 3
+"""Samples from a jump of an input in which what happens may be its answer."""
+
+AS_LARGE = 0.8
+"""Share of a jump's size from which others count as being as large."""
+
+UNANSWERED = 3
+"""Jumps as large that nothing followed, at least, before one explains nothing either."""
+
 ROUNDS = 3
 
 ENOUGH = 3
@@ -45,18 +54,20 @@ ALONE = 0.2
 """What comes right before and after a step of the zero is below this share of it."""
 
 
-def spikes(x: FloatArray, sigma: float, inputs: FloatArray) -> IntArray:
+def spikes(x: FloatArray, sigma: float, inputs: FloatArray, *, any_jump: bool = False) -> IntArray:
     """Places of single samples of a channel (n,) that stand out from both neighbours, (k,).
 
-    ``sigma`` is the channel's noise, ``inputs`` (n, m) drive the rig.
+    ``sigma`` is the channel's noise, ``inputs`` (n, m) drive the rig. Where more than these drives the
+    channel, ``any_jump`` of an input explains what is close upon it.
     """
     if len(x) < 2 * REACH + 3:
         return np.empty(0, dtype=np.int64)
-    near, calm = input_jumps(inputs), x.copy()
+    sizes, calm = jump_sizes(inputs), x.copy()
+    near = np.asarray((sizes > 0.0).any(axis=1))
     found: list[int] = []
     for _ in range(ROUNDS):
         places = _standing_out(calm, sigma)
-        places = places[~near[places]]
+        places = places[~(near[places] if any_jump else answers(sizes, places, places))]
         if not len(places):
             break
         # spikes that stand close together hide each other
@@ -71,12 +82,17 @@ def _standing_out(x: FloatArray, sigma: float) -> IntArray:
     change = np.diff(x)
     rises, falls = change[:-1], change[1:]
     height = np.where(rises * falls < 0.0, np.minimum(np.abs(rises), np.abs(falls)), 0.0)
-    usual = local_scale(x, REACH, USUAL)
+    usual = usual_change(x)
     usual = np.maximum(usual[:-1], usual[1:])
     # neighbours agree with each other: a peak of a fast motion has slopes, a spike has a floor
     floor = np.abs(rises + falls) < 0.5 * height + 3.0 * sigma
     found = (height > BEYOND_NOISE * sigma) & (height > BEYOND_MOTION * usual) & floor
     return np.flatnonzero(found).astype(np.int64) + 1
+
+
+def usual_change(x: FloatArray) -> FloatArray:
+    """How a channel (n,) usually changes from sample to sample around each of its changes, (n − 1,)."""
+    return local_scale(x, REACH, USUAL)
 
 
 def _alike(x: FloatArray, sure: IntArray, others: IntArray, near: np.ndarray) -> IntArray:
@@ -113,15 +129,40 @@ def zero_steps(x: FloatArray, sigma: float, inputs: FloatArray) -> IntArray:
 
 def input_jumps(inputs: FloatArray) -> np.ndarray:
     """Which samples (n,) follow close upon a jump of some input (n, m)."""
-    near = np.zeros(len(inputs), dtype=bool)
-    for column in inputs.T:
+    return np.asarray((jump_sizes(inputs) > 0.0).any(axis=1))
+
+
+def jump_sizes(inputs: FloatArray) -> FloatArray:
+    """For samples close upon a jump of an input (n, m) its size, else 0, (n, m)."""
+    sizes = np.zeros(inputs.shape)
+    for j, column in enumerate(inputs.T):
         change = np.r_[0.0, np.abs(np.diff(column))]
-        recent = _largest(change, 3, 1)
+        recent = _largest(change, AFTER_JUMP, 1)
         around = np.sort(sliding_window_view(np.pad(change, REACH, mode="edge"), 2 * REACH + 1), axis=1)
         # the median of what changes nearby; of an input in levels that is nothing, so every level is a jump
         usual = around[:, REACH]
-        near |= (recent > SUDDEN * usual) & (recent > NOTABLE * float(np.ptp(column)))
-    return near
+        near = (recent > SUDDEN * usual) & (recent > NOTABLE * float(np.ptp(column)))
+        sizes[near, j] = recent[near]
+    return sizes
+
+
+def answers(sizes: FloatArray, places: IntArray, every: IntArray) -> np.ndarray:
+    """Which of the ``places`` (k,) where a channel jumps may be its answers to jumps of an input.
+
+    ``sizes`` (n, m) are those of :func:`jump_sizes`, ``every`` are all places where the channel jumps. What
+    most jumps as large do not do to it, one does not do either.
+    """
+    found = np.zeros(len(places), dtype=bool)
+    for size in sizes.T:
+        begins = np.flatnonzero((size > 0.0) & ~np.r_[False, size[:-1] > 0.0])
+        largest = np.maximum.reduceat(size, begins) if len(begins) else np.empty(0)
+        own = np.searchsorted(begins, every[size[every] > 0.0], side="right") - 1
+        answered = np.isin(np.arange(len(begins)), own)
+        for i in np.flatnonzero(size[places] > 0.0):
+            alike = largest >= AS_LARGE * size[places[i]]
+            quiet = int(np.sum(alike & ~answered))
+            found[i] |= quiet < max(UNANSWERED, int(np.sum(alike & answered)))
+    return found
 
 
 def _largest(x: FloatArray, before: int, after: int) -> FloatArray:

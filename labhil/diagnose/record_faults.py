@@ -8,6 +8,7 @@ from labhil.diagnose.fault import Channel, Fault, Kind, fault_of, percent, when
 from labhil.diagnose.lag import partings
 from labhil.diagnose.lead import lead_of
 from labhil.identify.sampling import scattering_statement
+from labhil.identify.windows import HOLE
 from labhil.physics.model import Record
 from labhil.signals import FloatArray
 
@@ -51,17 +52,27 @@ def gaps(record: Record) -> list[Fault]:
         return []
     missing = step[holes] - usual
     longest = holes[np.argmax(missing)]
-    share = float(missing.sum() / whole)
+    total, samples = percent(float(missing.sum() / whole)), round(missing.sum() / usual)
+    share = _bridged(record, missing, step[holes] > HOLE * usual) / whole
     times = tuple((float(record.t[i]), float(record.t[i + 1])) for i in holes)
     return [
         Fault(
             Kind.GAP, "t", None, times, share,
             f"{len(holes)} gap{'s' if len(holes) > 1 else ''} in time, {missing.sum():.4g} s in all "
-            f"({percent(share)} of the recording, about {round(missing.sum() / usual)} samples), the "
-            f"longest from {record.t[longest]:.4g} to {record.t[longest + 1]:.4g} s. Nothing was filled in; "
-            "look at the load of the recording machine and at the link.",
+            f"({total} of the recording, about {samples} samples), the longest from "
+            f"{record.t[longest]:.4g} to {record.t[longest + 1]:.4g} s. Nothing was filled in; look "
+            "at the load of the recording machine and at the link.",
         )
     ]  # fmt: skip
+
+
+def _bridged(record: Record, missing: FloatArray, long: np.ndarray) -> float:
+    """How much of the ``missing`` time (s) of gaps windows bridge: they end at ``long`` ones.
+
+    Inverse dynamics filters over all of them.
+    """
+    arm = bool(record.output_joints and record.output_joints[0] is not None)
+    return float(missing.sum() if arm else missing[~long].sum())
 
 
 def not_finite(record: Record) -> list[Fault]:

@@ -257,7 +257,11 @@ def _channel(before: Score, after: Score) -> tuple[str, int | None]:
 
 
 def excluded(data: Data, found: Found) -> tuple[Excluded, ...]:
-    """Linearised estimate of every absent term beside the final model, ± its 99 % error."""
+    """Linearised estimate of every absent term beside the final model, ± its 99 % error.
+
+    What the model leaves goes together within a window; the error is the larger of what noise makes of it and
+    of what the windows themselves differ by (clustered errors: Liang and Zeger 1986).
+    """
     problem, solution = found.final.problem, found.final.solution
     lin = problem.linearise(solution.point, solution.residuals)
     own = problem.project(lin, lin.by_parameters)
@@ -274,7 +278,8 @@ def excluded(data: Data, found: Found) -> tuple[Excluded, ...]:
         if power <= 1e-12:
             continue
         value = -float(column @ solution.residuals) / power
-        error = noise / np.sqrt(power)
+        left = column * (solution.residuals + value * column)
+        error = max(noise / np.sqrt(power), float(np.linalg.norm(problem.per_window(left))) / power)
         largest = (abs(value) + stats.norm.ppf(0.995) * error) * parameter.scale
         limits.append(
             Excluded(term.name, term.joint, float(largest), parameter.unit, 0.99, parameter.recording)

@@ -30,6 +30,9 @@ from labhil.signals import FloatArray, Hold
 MOST_SAMPLES = 1000
 """That fits compare: what half a sample does to a simulation is far above the noise in fewer."""
 
+ENOUGH = 0.9
+"""Share of the most that inputs change among as many samples, from which the first such stretch is taken."""
+
 FEWEST_SAMPLES = 200
 """From which they are compared."""
 
@@ -72,29 +75,39 @@ def all_faults(model: Model, record: Record) -> tuple[Fault, ...]:
 
 def better_hold(model: Model, record: Record) -> Hold | None:
     """How the one input of a record runs between samples, as fits tell; None where they are not sure."""
-    part = _part(model, record)
+    part = _part(model, record) if len(record.input_names) == 1 else None
     if part is None:
         return None
-    best = _best_of(model, [(replace(part, input_holds=(hold,)), 0) for hold in Hold])
+    best = _best_of(model, [(replace(part, input_holds=(hold,)), 0) for hold in Hold], 0)
     return None if best is None else tuple(Hold)[best[0]]
 
 
 def late_input(model: Model, record: Record) -> Fault | None:
     """The fault of an input that is stamped late: the model fits to the noise with it earlier, and only then.
 
-    Only one recording with one input is looked at.
+    Only one recording is looked at. Of several inputs each is tried by itself; where more than one would do
+    as an explanation, the fault is that of the likeliest.
     """
     part = _part(model, record)
     if part is None:
         return None
-    found = _best_of(model, [(_earlier(part, samples), samples) for samples in range(FURTHEST + 1)])
-    if found is None:
+    found: list[tuple[float, int, int]] = []
+    for place in range(len(record.input_names)):
+        if np.ptp(part.inputs[:, place]) == 0.0:
+            continue
+        tried = [(_earlier(part, place, samples), samples) for samples in range(FURTHEST + 1)]
+        best = _best_of(model, tried, place)
+        if best is not None and best[0]:
+            found.append((best[1], place, best[0]))
+    if not found:
         return None
-    best, cost = found
-    if not best or _is_play(model, part, cost):
-        return None
-    name, shift = record.input_names[0], -best * record.period
-    count = f"{best} sample{'s' if best > 1 else ''}"
+    cost, place, samples = min(found)
+    return None if _is_play(model, part, cost) else _late(record, record.input_names[place], samples)
+
+
+def _late(record: Record, name: str, samples: int) -> Fault:
+    shift = -samples * record.period
+    count = f"{samples} sample{'s' if samples > 1 else ''}"
     say = (
         f"The outputs answer {name} {-shift:.3g} s ({count}) before it changes: "
         f"the model fits to the noise with {name} as much earlier, and not as it is stamped. Stamp both by "
@@ -105,17 +118,17 @@ def late_input(model: Model, record: Record) -> Fault | None:
 
 
 def why_untimed(model: Model, record: Record) -> str | None:
-    """Why nothing is known of whether the one input is stamped late; None where the model was asked.
+    """Why nothing is known of whether an input is stamped late; None where the model was asked.
 
     What drives an arm is timed by no simulation, and is not asked about either.
     """
-    if model.metric is not Metric.WINDOWED_SIMULATION or len(record.input_names) != 1:
+    if model.metric is not Metric.WINDOWED_SIMULATION:
         return None
-    name = record.input_names[0]
-    if name in MEASURED_INPUTS:
-        reason = "it is measured, and the filter and the noise of its sensor shift it, too"
+    measured = [name for name in record.input_names if name in MEASURED_INPUTS]
+    if measured:
+        name, reason = measured[0], "it is measured, and the filter and the noise of its sensor shift it, too"
     elif len(record.begins) > 1:
-        reason = "only a recording by itself is looked at"
+        name, reason = " or ".join(record.input_names), "only a recording by itself is looked at"
     else:
         return None
     return f"Whether {name} is stamped a sample or two late was not checked by the model: {reason}."
@@ -123,24 +136,35 @@ def why_untimed(model: Model, record: Record) -> str | None:
 
 def _part(model: Model, record: Record) -> Record | None:
     """The samples that are compared; None where a comparison means nothing."""
-    if model.metric is not Metric.WINDOWED_SIMULATION or len(record.input_names) != 1:
+    if model.metric is not Metric.WINDOWED_SIMULATION:
         return None
     if len(record) < FEWEST_SAMPLES or np.any(np.diff(record.t) <= 0.0):
         return None
     if why_untimed(model, record) is not None:
         return None
-    part = record.part(0, MOST_SAMPLES)
+    part = _busiest(record)
     moves = np.ptp(part.inputs) > 0.0 and np.isfinite(np.hstack([part.inputs, part.outputs])).all()
     return part if moves else None
 
 
-def _surprise(record: Record, newest: int) -> float:
-    """Twice the negative log likelihood of an input, but for a constant, given what it can be made of.
+def _busiest(record: Record) -> Record:
+    """The samples of a record among which its inputs change most: what comes before them may be rest."""
+    if len(record) <= MOST_SAMPLES:
+        return record
+    change = np.abs(np.diff(record.inputs, axis=0, prepend=record.inputs[:1]))
+    moved = np.cumsum(np.sum(change / np.maximum(np.ptp(record.inputs, axis=0), 1e-300), axis=1))
+    over = moved[MOST_SAMPLES - 1 :] - np.r_[0.0, moved[:-MOST_SAMPLES]]
+    first = int(np.argmax(over >= ENOUGH * over.max()))
+    return record.part(first, first + MOST_SAMPLES)
+
+
+def _surprise(record: Record, place: int, newest: int) -> float:
+    """Twice the negative log likelihood of the input ``place``, but for a constant, given what made it.
 
     That is its own past and the outputs up to the one ``newest`` samples earlier. One that is held in levels
     counts as made of nothing: a relay's jumps are too few to tell much of the noise.
     """
-    u = record.inputs[:, 0]
+    u = record.inputs[:, place]
     if len(jumps_of_levels(u)):
         return 0.0
     rows = np.arange(PAST, len(u))[:, None]
@@ -151,17 +175,18 @@ def _surprise(record: Record, newest: int) -> float:
     return float(len(u) * np.log(np.mean(left**2) + (SMALLEST * np.std(u)) ** 2))
 
 
-def _earlier(record: Record, samples: int) -> Record:
-    """The record with its inputs so many samples earlier; at its end they stay as they were."""
+def _earlier(record: Record, place: int, samples: int) -> Record:
+    """The record with one of its inputs so many samples earlier; at its end that stays as it was."""
     if not samples:
         return record
-    inputs: FloatArray = np.concatenate([record.inputs[samples:], record.inputs[-1:].repeat(samples, axis=0)])
+    inputs = record.inputs.copy()
     # the last rows know no later input
+    inputs[:, place] = np.r_[inputs[samples:, place], inputs[-1:, place].repeat(samples)]
     return replace(record, inputs=inputs)
 
 
-def _best_of(model: Model, records: Sequence[tuple[Record, int]]) -> tuple[int, float] | None:
-    """Which of the records, with how many samples earlier their input is, a model explains far better.
+def _best_of(model: Model, records: Sequence[tuple[Record, int]], place: int) -> tuple[int, float] | None:
+    """Which of the records, with how much earlier the input ``place`` is, a model explains far better.
 
     With its cost, the surprise of its input over that of the first included.
 
@@ -169,9 +194,9 @@ def _best_of(model: Model, records: Sequence[tuple[Record, int]]) -> tuple[int, 
     worse than another's best.
     """
     # of an input that is straight between samples an output knows one more
-    newest = [earlier + (record.input_holds[0] is Hold.LINEAR) for record, earlier in records]
+    newest = [earlier + (record.input_holds[place] is Hold.LINEAR) for record, earlier in records]
     original = records[0][0]
-    surprises = np.array([_surprise(original, n) for n in newest])
+    surprises = np.array([_surprise(original, place, n) for n in newest])
     fitted = [record for record, _ in records]
     if _clearly_best(_fits(model, fitted, thorough=False), surprises) is None:
         return None

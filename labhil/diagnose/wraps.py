@@ -53,6 +53,8 @@ def wraps_of(x: FloatArray) -> Wraps | None:
     if falls[count - 1] < STANDS_OUT:
         return None
     places = np.sort(order[:count])
+    if _drops_out(x, places):
+        return None
     usual = float(size[order[count]])
     beside = 0.5 * (change[np.maximum(places - 1, 0)] + change[np.minimum(places + 1, len(change) - 1)])
     clean = ~np.isin(np.maximum(places - 1, 0), places) & ~np.isin(places + 1, places)
@@ -65,6 +67,17 @@ def wraps_of(x: FloatArray) -> Wraps | None:
         return None
     period = period if named is None else named
     return Wraps(places + 1, period) if np.ptp(x) <= period + usual else None
+
+
+def _drops_out(x: FloatArray, places: IntArray) -> bool:
+    """Whether a reading (n,) goes away and comes back each time, and is one and the same value meanwhile.
+
+    What turns on through the end of a turn reads something else there every time.
+    """
+    if len(places) % 2:
+        return False
+    away = np.concatenate([x[first + 1 : last + 1] for first, last in places.reshape(-1, 2)])
+    return bool(np.ptp(away) == 0.0)
 
 
 def _known_period(period: float, step: float, slack: float) -> float | None:

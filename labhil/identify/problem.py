@@ -15,7 +15,7 @@ import numpy as np
 from labhil.ending import checkpoint
 from labhil.identify.rounding import telling_shares
 from labhil.identify.windows import noise_at
-from labhil.physics.model import Model, PartlyLinear, Record, Windows
+from labhil.physics.model import UNREAD, Model, PartlyLinear, Record, Windows
 from labhil.signals import FloatArray, IntArray
 
 STATE_STEP = 1e-5
@@ -52,7 +52,8 @@ class Problem:
     vector with everything else in place; ``sigma`` (channels,) the noise that residuals are divided by, and
     ``noise`` the same at the windows' rows, where recordings differ in it, (N, channels). ``begins`` are the
     rows of the windows (of samples, not of channels) at which a recording begins. A censored reading, one at
-    the end of its range, leaves no residual where the simulation lies beyond that end.
+    the end of its range, leaves no residual where the simulation lies beyond that end; one that is ``UNREAD``
+    leaves none anywhere.
     """
 
     def __init__(
@@ -136,7 +137,8 @@ class Problem:
             simulated = self.model.simulate(theta, self.record, self.windows, states)
             residuals = (simulated - self._measured) / self.noise
             if self._censored is not None:
-                residuals = np.where(self._censored * residuals > 0.0, 0.0, residuals)
+                silent = (self._censored == UNREAD) | (self._censored * residuals > 0.0)
+                residuals = np.where(silent, 0.0, residuals)
             residuals = residuals.ravel()
         return np.clip(np.nan_to_num(residuals, nan=WORST), -WORST, WORST)
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy import stats
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from labhil.identify.adequacy import FLOOR_KNOWN_TO
 from labhil.identify.fitted import Fitted
 from labhil.identify.problem import Problem
-from labhil.identify.quantiser import converter_step
+from labhil.identify.quantiser import converter_step, uneven_step
 from labhil.physics.model import Record
 from labhil.physics.terms import keyed
 from labhil.signals import FloatArray, Hold
@@ -19,6 +21,27 @@ AS_LARGE = 0.5
 
 Squared it is a quarter of what is left: no model can be judged to better than that on such data.
 """
+
+MEAN_OVER = 21
+"""Samples over which the mean stands for what a channel reads."""
+
+STILL = 0.02
+"""Share of an input's range by which it may change within them."""
+
+BEYOND_ZERO = 0.25
+"""Standard deviations beyond zero from which a reading counts as one of the other sign."""
+
+FEWEST_EXPECTED = 20.0
+"""Readings of the other sign that noise would make, from which their absence counts …"""
+
+HARDLY_ANY = 0.1
+"""… where there are so few of them: by chance as few would be once in 10⁶."""
+
+LIVELY = 0.5
+"""Share of its noise that a channel scatters by where it is looked at."""
+
+WHITE = -0.5
+"""Correlation of neighbouring third differences from which they are scatter: −0.75 of noise, + of motion."""
 
 OTHER = {Hold.ZERO: Hold.LINEAR, Hold.LINEAR: Hold.ZERO}
 
@@ -40,6 +63,9 @@ def scattering_statement(record: Record, j: int, sigma: float) -> str | None:
     more than that only a signal gives that swings between samples, as a chopped current does. Else None.
     """
     spread = float(np.std(record.outputs[:, j]))
+    swings = _swings(record, j, sigma)
+    if swings is not None:
+        return swings
     if not sigma > FLOOR_KNOWN_TO * spread > FLOOR_KNOWN_TO * converter_step(record.outputs[:, j]):
         return None
     name, unit = keyed(*record.channel(j)), record.output_units[j]
@@ -48,6 +74,42 @@ def scattering_statement(record: Record, j: int, sigma: float) -> str | None:
         f"recording ({spread:.3g} {unit}): it was sampled more slowly than it changes, as behind a "
         "chopper (PWM). Its samples say nothing of its mean between them; filter it before sampling, "
         "sample faster, or leave it out."
+    )
+
+
+def _swings(record: Record, j: int, sigma: float) -> str | None:
+    """That an output ``j`` scatters by ``sigma`` on one side of zero only, while its input holds still.
+
+    Noise goes both ways. A current that its chopper interrupts is between nothing and what it is while the
+    chopper conducts; sampled at any moment it scatters like white noise. None of others.
+    """
+    name, joint = record.channel(j)
+    x = record.outputs[:, j]
+    rounding = max(converter_step(x), uneven_step(x)) / np.sqrt(6.0)
+    if joint is not None or len(x) < 2 * MEAN_OVER or not sigma > 3.0 * rounding:
+        return None
+    moved = np.abs(np.diff(record.inputs, axis=0, prepend=record.inputs[:1]))
+    still = ~(maximum_filter1d(moved, MEAN_OVER, axis=0) > STILL * np.ptp(record.inputs, axis=0)).any(axis=1)
+    if record.censored is not None:
+        # a sensor that knows one direction only is another matter
+        still &= record.censored[:, j] == 0
+    reads = uniform_filter1d(x, MEAN_OVER)
+    third = np.diff(x, 3)
+    # a part at rest may show no noise at all
+    power = uniform_filter1d(np.pad(third, (1, 2), mode="edge") ** 2, MEAN_OVER) / 20.0
+    still &= power > (LIVELY * sigma) ** 2
+    crossed = stats.norm.sf(BEYOND_ZERO + np.abs(reads) / sigma) * still
+    third = third * np.sqrt(crossed[1:-2])
+    white = float(np.sum(third[1:] * third[:-1])) < WHITE * float(np.sum(third**2))
+    expected = float(np.sum(crossed))
+    beyond = int(np.sum(x[still] * np.sign(reads[still]) < -BEYOND_ZERO * sigma))
+    if not white or expected < FEWEST_EXPECTED or beyond > HARDLY_ANY * expected:
+        return None
+    return (
+        f"{name} scatters by {sigma:.3g} {record.output_units[j]} from one sample to the next, but on one "
+        f"side of zero only (noise would cross it {expected:.0f} times, this does {beyond} times): it was "
+        "sampled more slowly than it changes, as behind a chopper (PWM). Filter it before sampling, sample "
+        "faster, or leave it out."
     )
 
 

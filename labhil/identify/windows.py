@@ -16,6 +16,12 @@ from labhil.signals import FloatArray, IntArray
 FEWEST_SAMPLES = 20
 """In a record, and in the lead-in of a scored window."""
 
+HOLE = 10.0
+"""Usual steps of time from which no window goes on over a hole: nobody knows what drove the rig in it.
+
+Shorter ones are bridged as the input's hold says: windows that end at each lost sample would all be short.
+"""
+
 FEWEST_IN_WINDOW = 8
 """In a window that is fitted: its own state costs a few."""
 
@@ -30,16 +36,24 @@ def fit_windows(record: Record, length: float) -> Windows:
     """
     spans = []
     for before, each, called in _each(record):
-        n = len(each)
-        if n < FEWEST_SAMPLES:
-            raise RecordingError(f"{called}too short: {n} samples, at least {FEWEST_SAMPLES} are needed")
-        duration = each.t[-1] - each.t[0]
-        count = max(1, round(duration / length))
-        count = min(count, n // FEWEST_IN_WINDOW)
-        edges = np.searchsorted(each.t, each.t[0] + duration * np.arange(count + 1) / count)
-        edges[-1] = n
-        spans += [(before + int(a), before + int(b)) for a, b in pairwise(edges) if b - a > 1]
+        if len(each) < FEWEST_SAMPLES:
+            raise RecordingError(
+                f"{called}too short: {len(each)} samples, at least {FEWEST_SAMPLES} are needed"
+            )
+        for first, last in _stretches(each):
+            cut = each.part(first, last)
+            spans += [(before + first + a, before + first + b) for a, b in _equal(cut, length)]
     return Windows.of(spans)
+
+
+def _equal(record: Record, length: float) -> list[tuple[int, int]]:
+    """Equal windows of about ``length`` s of a recording, (first, last) each."""
+    n, duration = len(record), record.t[-1] - record.t[0]
+    count = max(1, round(duration / length))
+    count = max(1, min(count, n // FEWEST_IN_WINDOW))
+    edges = np.searchsorted(record.t, record.t[0] + duration * np.arange(count + 1) / count)
+    edges[-1] = n
+    return [(int(a), int(b)) for a, b in pairwise(edges) if b - a > 1]
 
 
 def _each(record: Record) -> Iterator[tuple[int, Record, str]]:
@@ -47,6 +61,18 @@ def _each(record: Record) -> Iterator[tuple[int, Record, str]]:
     several = len(record.begins) > 1
     for begin, each in zip(record.begins, record.recordings(), strict=True):
         yield begin.row, each, f"recording {begin.number}: " if several else ""
+
+
+def _stretches(record: Record) -> list[tuple[int, int]]:
+    """First sample, and the one after the last, of what lies between the holes of one recording.
+
+    Those of a few samples are left out; the whole recording where it has no other.
+    """
+    step = np.diff(record.t)
+    ends = np.flatnonzero(step > HOLE * np.median(step)) + 1
+    edges = np.r_[0, ends, len(record)]
+    found = [(int(a), int(b)) for a, b in pairwise(edges) if b - a >= FEWEST_SAMPLES]
+    return found or [(0, len(record))]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,24 +95,35 @@ def scored_windows(record: Record, horizon: float) -> ScoredWindows:
     The lead-in has at least 20 samples, or as many as there are. The last stretch may be shorter,
     down to half a horizon. Raises RecordingError when not even one fits into a recording.
     """
-    tiles = [before + _tiles(each, horizon, called) for before, each, called in _each(record)]
+    tiles = [before + _tiles_between_holes(each, horizon, called) for before, each, called in _each(record)]
     first, middle, last = np.concatenate(tiles, axis=1)
     lead_windows = Windows.of(list(zip(first.tolist(), middle.tolist(), strict=True)))
     whole = Windows.of(list(zip(first.tolist(), last.tolist(), strict=True)))
     return ScoredWindows(lead_windows, whole, whole.rows >= middle[whole.owner], horizon)
 
 
-def _tiles(record: Record, horizon: float, called: str) -> IntArray:
-    """First sample, first scored one and the one after the last of each window of one recording, (3, w)."""
-    n = len(record)
-    lead = max(0.5 * horizon, FEWEST_SAMPLES * record.period)
-    starts = np.arange(record.t[0] + lead, record.t[-1] - 0.5 * horizon, horizon)
-    if not len(starts):
-        have = record.t[-1] - record.t[0] if n else 0.0
+def _tiles_between_holes(record: Record, horizon: float, called: str) -> IntArray:
+    """The tiles between the holes of one recording, (3, w), or across them where none fits between."""
+    found = [first + _tiles(record.part(first, last), horizon) for first, last in _stretches(record)]
+    tiles = np.concatenate(found, axis=1)
+    if not tiles.size:
+        tiles = _tiles(record, horizon)
+    if not tiles.size:
+        have = record.t[-1] - record.t[0] if len(record) else 0.0
+        lead = max(0.5 * horizon, FEWEST_SAMPLES * record.period)
         raise RecordingError(
             f"{called}too short to score: {have:.3g} s, one window needs {lead + 0.5 * horizon:.3g} s "
             f"(lead-in {lead:.3g} s and half a horizon); a shorter [metric] horizon may do"
         )
+    return tiles
+
+
+def _tiles(record: Record, horizon: float) -> IntArray:
+    """First sample, first scored one and the one after the last of each window of one recording, (3, w)."""
+    lead = max(0.5 * horizon, FEWEST_SAMPLES * record.period)
+    starts = np.arange(record.t[0] + lead, record.t[-1] - 0.5 * horizon, horizon)
+    if not len(starts):
+        return np.empty((3, 0), dtype=np.int64)
     edges = np.searchsorted(record.t, np.append(starts, starts[-1] + horizon))
     middle, last = edges[:-1], edges[1:]
     first = np.maximum(np.minimum(np.searchsorted(record.t, starts - lead), middle - FEWEST_SAMPLES), 0)
@@ -100,15 +137,28 @@ def all_of(record: Record) -> ScoredWindows:
 
 
 def split(record: Record, share: float, gap: float) -> tuple[Record, Record]:
-    """Hold out the last ``share`` of each recording, contiguous, after a gap of ``gap`` s."""
+    """Hold out the last ``share`` of each recording, contiguous, after a gap of ``gap`` s.
+
+    The time of holes does not count.
+    """
     parts = [_split(each, share, gap) for each in record.recordings()]
     return joined([learn for learn, _ in parts]), joined([held_out for _, held_out in parts])
 
 
 def _split(record: Record, share: float, gap: float) -> tuple[Record, Record]:
-    start = record.t[-1] - share * (record.t[-1] - record.t[0])
-    cut = int(np.searchsorted(record.t, start - gap))
-    return record.part(0, cut), record.part(int(np.searchsorted(record.t, start)), len(record))
+    t = _without_holes(record.t)
+    start = t[-1] - share * (t[-1] - t[0])
+    cut = int(np.searchsorted(t, start - gap))
+    return record.part(0, cut), record.part(int(np.searchsorted(t, start)), len(record))
+
+
+def _without_holes(t: FloatArray) -> FloatArray:
+    """Times (n,) with a usual step in the place of each hole."""
+    step = np.diff(t)
+    long = step > HOLE * np.median(step) if len(step) else step > 0.0
+    if not long.any():
+        return t
+    return np.asarray(t[0] + np.r_[0.0, np.cumsum(np.where(long, np.median(step), step))])
 
 
 def noise_of(record: Record) -> FloatArray:

@@ -25,6 +25,9 @@ LENGTHS = (8, 16, 32, 64, 128, 256)
 CERTAIN = 10.0
 """Standard errors from zero at which a slope counts: residuals are correlated, so errors look too small."""
 
+HOLE = 3.0
+"""Usual steps of time from which one is a hole: nobody knows what the signals did in it."""
+
 LEAST_R2 = 0.5
 """Share of the variance that a regression has to explain for its slopes to mean anything."""
 
@@ -77,8 +80,9 @@ def size_fact(name: str, unit: str, values: FloatArray, high: float, typical: fl
 
 def rate_of_change_fact(t: FloatArray, position: str, x: FloatArray, rate: str, v: FloatArray) -> list[Fact]:
     """That a measured rate (n, …) is the derivative of a measured position (n, …), where both move."""
-    step = np.diff(t)[:, None] if x.ndim > 1 else np.diff(t)
-    moved, by_rate = np.diff(x, axis=0), 0.5 * step * (v[1:] + v[:-1])
+    whole = ~_holes(t)
+    step = np.diff(t)[whole, None] if x.ndim > 1 else np.diff(t)[whole]
+    moved, by_rate = np.diff(x, axis=0)[whole], 0.5 * step * (v[1:] + v[:-1])[whole]
     power = float(np.sum(by_rate**2))
     if not power > 0.0 or not np.any(moved):
         return []
@@ -89,6 +93,12 @@ def rate_of_change_fact(t: FloatArray, position: str, x: FloatArray, rate: str, 
     what = f"the change of {position} over what {rate} adds up to"
     powers = {position: 1, rate: -1, TIME: -1}
     return [Fact(what, slope, "", 0.7, 1.4, powers, "one is the derivative of the other", 1.0, dynamic=True)]
+
+
+def _holes(t: FloatArray) -> np.ndarray:
+    """Which steps of time (n − 1,) are holes."""
+    step = np.diff(t)
+    return np.asarray(step > HOLE * np.median(step))
 
 
 def integral(t: FloatArray, x: FloatArray, *, held: bool = False) -> FloatArray:
@@ -102,9 +112,9 @@ def slopes(
 ) -> tuple[FloatArray, FloatArray]:
     """Slopes of a regression on short stretches, and how many standard errors each is from zero.
 
-    Each stretch has a polynomial in time (``degree`` 0 or 1) of its own, so that how it began does not count.
-    Of several lengths the one whose first slope is most certain is taken. Slopes are (columns,); the second
-    array is zero where too little is explained.
+    Each stretch has a polynomial in time (``degree`` 0 or 1) of its own, so that how it began does not count;
+    those with a hole in time do not count. Of several lengths the one whose first slope is most certain is
+    taken. Slopes are (columns,); the second array is zero where too little is explained.
     """
     best = np.zeros(len(columns)), np.zeros(len(columns))
     for length in LENGTHS:
@@ -121,8 +131,12 @@ def _slopes(
     target: FloatArray, columns: Sequence[FloatArray], t: FloatArray, degree: int, shape: tuple[int, int]
 ) -> tuple[FloatArray, FloatArray] | None:
     count, length = shape
-    every = np.column_stack([target, *columns])[: count * length].reshape(count, length, -1)
-    time = t[: count * length].reshape(count, length)
+    whole = ~np.r_[_holes(t), False][: count * length].reshape(count, length)[:, :-1].any(axis=1)
+    every = np.column_stack([target, *columns])[: count * length].reshape(count, length, -1)[whole]
+    time = t[: count * length].reshape(count, length)[whole]
+    count = len(time)
+    if count < 2:
+        return None
     time = (time - time[:, :1]) / max(float(np.mean(time[:, -1] - time[:, 0])), 1e-300)
     basis, _ = np.linalg.qr(np.stack([time**k for k in range(degree + 1)], axis=2))
     apart = (every - basis @ (np.swapaxes(basis, 1, 2) @ every)).reshape(count * length, -1)

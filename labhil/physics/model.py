@@ -20,6 +20,9 @@ BORDER = 20.0
 TWO_AND_A_LEAD = 0.4
 """Of a recording, for a horizon that follows another and half of one before them."""
 
+UNREAD = 2
+"""Mark of a reading that was wrong: what stands in its place was not measured."""
+
 WHITE = (1.0, 0.0, 0.0, 0.0)
 """Correlation of white noise in rows 0 to 3 apart."""
 
@@ -50,8 +53,8 @@ class Record:
     has one. ``begins`` tells where each recording begins: nothing may be followed from one to the next.
     ``least_noise`` (channels,) is the least standard deviation of the noise that the whole recording shows: a
     part of it that rests shows none; empty where nothing is known. ``censored`` (n, channels) is +1 where a
-    reading stands at the upper end of its range and says only "at least this", −1 at the lower end, else 0;
-    None where all are readings.
+    reading stands at the upper end of its range and says only "at least this", −1 at the lower end,
+    ``UNREAD`` where what stands there was not measured, else 0; None where all are readings.
     """
 
     t: FloatArray

@@ -17,8 +17,10 @@ from labhil.ending import Deadline
 from labhil.identify.problem import Problem
 from labhil.identify.quantiser import held_samples, uneven_step
 from labhil.identify.windows import fit_windows, noise_of, with_least_noise
-from labhil.physics.model import Record
+from labhil.physics.model import Model, Record
+from labhil.physics.right_hand_side import RightHandSide
 from labhil.physics.rigs import model_for
+from labhil.physics.terms import Parameter
 from labhil.rig import default_rig
 from labhil.signals import Hold
 from labhil_benchmarks.statistics.cases import driven, levels
@@ -317,3 +319,54 @@ def test_a_lone_sample_of_a_command_that_nobody_asked_for_is_a_fault():
     pulses = np.zeros(1200)
     pulses[100::200] = 5.0
     assert not any(f.channel == "voltage" for f in faults_of(motor(pulses)))
+
+
+def warm_tank(late_by: tuple[int, int]) -> tuple[Model, Record]:
+    """A tank that a pump fills and a heater warms, with the stamps of both inputs so many samples late."""
+    random, period, n = np.random.default_rng(3), 0.1, 900
+    t = period * np.arange(n)
+    u = np.column_stack([np.sin(0.9 * t) + np.sin(2.3 * t), np.cos(0.7 * t) + np.sin(1.9 * t)])
+    x, y = np.zeros(2), np.empty((n, 2))
+    for k in range(n):
+        y[k] = x + 0.002 * random.standard_normal(2)
+        for _ in range(20):
+            x = x + period / 20 * np.array([0.8 * u[k, 0] - 0.5 * x[0], 0.5 * u[k, 1] - 0.9 * x[1]])
+    inputs = np.column_stack(
+        [np.r_[[0.0] * k, column[: n - k]] for k, column in zip(late_by, u.T, strict=True)]
+    )
+    names = (("pump", "heater"), ("level", "warmth"), ("m", "K"), (Hold.ZERO, Hold.ZERO))
+    stated = RightHandSide(
+        states={"level": 0.1, "warmth": 0.1},
+        derivative=lambda t, x, u, p: np.array(
+            [p["fill"] * u[0] - 0.5 * x[0], p["heat"] * u[1] - p["loss"] * x[1]]
+        ),
+        output=lambda x, u, p: x,
+        guess=lambda t, y: y[0],
+        parameters=tuple(
+            Parameter(name, "1", 1.0, 1e-3, 10.0, starts=(0.6,)) for name in ("fill", "heat", "loss")
+        ),
+        horizon=20.0,
+    )  # fmt: skip
+    return stated(default_rig("dc_motor")), Record(t, inputs, y, *names)
+
+
+@pytest.mark.parametrize("late_by", [(0, 0), (0, 1), (2, 0)])
+def test_of_several_inputs_the_one_that_is_late_is_named(late_by):
+    model, record = warm_tank(late_by)
+    fault = late_input(model, record)
+    assert why_untimed(model, record) is None
+    if not any(late_by):
+        assert fault is None
+    else:
+        late_one = int(np.argmax(late_by))
+        assert fault is not None
+        assert fault.channel == ("pump", "heater")[late_one]
+        assert f"shift = {-0.1 * late_by[late_one]:.6g}" in fault.statement
+
+
+def test_a_late_input_that_moves_only_later_is_found():
+    u = np.r_[np.zeros(1200), smooth()]
+    record = late(motor(u), 1)
+    fault = late_input(model_for(default_rig("dc_motor"), record), record)
+    assert fault is not None
+    assert "shift = -0.01" in fault.statement

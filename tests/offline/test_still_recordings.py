@@ -46,6 +46,11 @@ STILL = {
         {"voltage": SINE, "speed": 3.0 + 0 * T, "current": 0.2 * SINE},
         ("expected readings of speed", "speed at 3 rad/s", "without the column speed"),
     ),
+    "a motor that dry friction holds": (
+        "dc_motor",
+        {"voltage": SINE, "speed": 0 * T, "current": 0.2 * SINE + 0.01 * NOISE},
+        ("speed at 0 rad/s", "whether the part only stood still: then drive it beyond break-away"),
+    ),
     "a current that is stuck": (
         "dc_motor",
         {"voltage": SINE, "speed": 3.0 * SINE, "current": 0 * T},

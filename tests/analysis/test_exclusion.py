@@ -1,0 +1,44 @@
+"""How large an effect may be that stays hidden: by noise alone, and beside what the model leaves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+
+from labhil.diagnose.begin import data_of
+from labhil.diagnose.telling import excluded
+from labhil.identify.fitted import fit_terms
+from labhil.physics.model import Record
+from labhil.physics.rigs import model_for
+from labhil.rig import default_rig
+from labhil_benchmarks.statistics.cases import driven, levels
+
+DRY = ("viscous_friction", "coulomb_friction")
+CHANNELS = (("speed", "rad/s"), ("current", "A"))
+
+
+def limits(record: Record) -> dict[str, float]:
+    model = model_for(default_rig("dc_motor"), record)
+    data = data_of(model, record, record)
+    found = fit_terms(model, record, DRY, data.window, data.sigma, start=data.begin, iterations=8)
+    stated = excluded(data, SimpleNamespace(final=found, minor=()))  # type: ignore[arg-type]
+    return {item.term: item.largest_hidden for item in stated}
+
+
+def test_what_a_model_leaves_hides_more_than_as_large_a_noise():
+    random = np.random.default_rng(2)
+    u = levels(1500, 40, 5.0, random)
+    clean = driven("dc_motor", u, 0.01, {}, DRY, 50.0, False, random, CHANNELS)[0]
+    size = 0.1 * np.std(clean.outputs[:, 0])
+    # a slow wandering of a few seconds, and noise of the same size
+    slow = np.convolve(random.standard_normal(2500), np.ones(200), mode="same")[500:2000]
+    errors = (size * slow / np.std(slow), size * random.standard_normal(len(slow)))
+    left, noisy = (
+        limits(replace(clean, outputs=clean.outputs + np.column_stack([each, np.zeros(len(each))])))
+        for each in errors
+    )
+    offset = "constant_force"
+    assert left[offset] > 2.0 * noisy[offset]
+    assert limits(clean)[offset] < 0.3 * noisy[offset]
