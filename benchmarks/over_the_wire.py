@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from labhil.analysis.material import load_material
+from labhil.analysis.dataset import load_dataset
 from labhil.identify.fitted import start_theta
 from labhil.physics.model import Windows
 from labhil_benchmarks.reference import published
@@ -122,7 +122,7 @@ def fitted(case: Case, out: Path) -> dict[str, Any]:
 
 def from_rest(identify: Path, test: Path, values: dict[str, float]) -> list[dict[str, Any]]:
     """Errors of one run over the whole test from rest, which the text's figures are of."""
-    material = load_material(identify, None, test)
+    material = load_dataset(identify, None, test)
     judged, model = material.judge, material.model
     known = KnownStart(model, np.zeros(len(model.state_names)))
     windows = Windows.of([(0, len(judged))])

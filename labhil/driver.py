@@ -143,11 +143,11 @@ class TimedDriver(Driver, Protocol):
         """As :meth:`Driver.command`, for a time of the device's clock."""
         ...
 
-    def trouble(self) -> str:
+    def fault(self) -> str:
         """Return why the device cannot be commanded, in words; empty when it can."""
         ...
 
-    def recovers(self) -> bool:
+    def is_transient(self) -> bool:
         """Whether the trouble passes by itself, and a path may go on then without anybody looking."""
         ...
 

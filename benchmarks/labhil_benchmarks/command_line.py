@@ -149,7 +149,7 @@ def trial_calibrate(
 
     Probabilities that were fitted to trials are to be scored on others.
     """
-    from labhil.diagnose.credence import WEIGHTS
+    from labhil.diagnose.claim_probability import WEIGHTS
     from labhil_benchmarks.trials.calibrate import calibrated, claimed_in
 
     fitted = calibrated([claim for folder in folders for claim in claimed_in(folder)])

@@ -23,13 +23,13 @@ from typing import Any
 
 import numpy as np
 
-from labhil.analysis.material import load_material
+from labhil.analysis.dataset import load_dataset
 from labhil.campaign.trials.answer import Answer
 from labhil.campaign.trials.folder import recording
 from labhil.campaign.trials.judge import SURE_GAIN
 from labhil.campaign.trials.make import Order, make_trials
 from labhil.diagnose.begin import data_of, fit_baseline
-from labhil.diagnose.found import Found
+from labhil.diagnose.search_result import Found
 from labhil.diagnose.structures import disturbance, responses, search, stages
 from labhil.diagnose.structures import enumerate as beam
 from labhil.identify.problem import Problem
@@ -117,7 +117,7 @@ def without(parts: tuple[Part, ...]) -> Iterator[None]:
 
 def searched(folder: Path, name: str, baseline: tuple[str, ...], options: search.Options) -> Found:
     """What the search finds in one trial."""
-    material = load_material(recording(folder, name, "search"), test_path=recording(folder, name, "test"))
+    material = load_dataset(recording(folder, name, "search"), test_path=recording(folder, name, "test"))
     data = data_of(material.model, material.learn, material.judge)
     base = fit_baseline(data, [term.key for term in terms_named(material.model, baseline)])
     return stages.search_structures(data, base, lambda text: None, options)

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from labhil.analysis.material import load_material
+from labhil.analysis.dataset import load_dataset
 from labhil.analysis.study import diagnose_study
 from labhil.errors import LabhilError
 from labhil.experiment.experiment import parse_experiment
@@ -128,7 +128,7 @@ def examine(path: Path, device: str) -> dict[str, Any]:
         "seconds": round(float(data.t[-1]), 2),
     }
     try:
-        material = load_material(path, device=device)
+        material = load_dataset(path, device=device)
     except LabhilError as error:  # the run ended before there was enough to learn from
         return {**found, "refused": str(error)}
     began = time.monotonic()

@@ -76,7 +76,7 @@ class Client:
         self.state = ""
         if not self._control.setWatchdog(WATCHDOG_RATE):
             raise FaultError("the controller did not take its watchdog")
-        self._become("idle")
+        self._transition("idle")
 
     def run(self) -> None:
         """Serve until standard input ends and the arm stands."""
@@ -110,9 +110,9 @@ class Client:
             return
         *lines, self._rest = (self._rest + data).split(b"\n")
         for line in lines:
-            self._obey(json.loads(line))
+            self._dispatch(json.loads(line))
 
-    def _obey(self, order: Mapping[str, Any]) -> None:
+    def _dispatch(self, order: Mapping[str, Any]) -> None:
         if "stop" in order:
             self._stop()
             return
@@ -123,14 +123,14 @@ class Client:
         if "move" in order and self.state == "idle":
             self._check(self._control.moveJ(order["move"], MOVE_SPEED, MOVE_ACCELERATION, True), "moveJ")
             self._moved_at, self._seen_moving = self._heard_at, False
-            self._become("moving")
+            self._transition("moving")
         elif "q" in order:
             self._take_waypoint(order)
 
     def _take_waypoint(self, order: Mapping[str, Any]) -> None:
         if self.state == "idle":
             self._player = Player(order["from"], order["t"], order["q"])
-            self._become("servo")
+            self._transition("servo")
         elif self.state == "servo" and self._player is not None:
             try:
                 self._player.take(order["t"], order["q"])
@@ -152,12 +152,12 @@ class Client:
     def _stop(self) -> None:
         if self.state == "servo" and self._player is not None:
             self._player.stop()
-            self._become("stopping")
+            self._transition("stopping")
         elif self.state == "moving":
             # not waited for: the watchdog must be fed meanwhile
             self._control.stopJ(STOP_ACCELERATION, True)
             self._moved_at, self._seen_moving = time.monotonic(), False
-            self._become("stopping")
+            self._transition("stopping")
 
     def _act(self, now: float) -> None:
         if self.state in ("servo", "moving") and now - self._heard_at > COMMAND_TIMEOUT:
@@ -178,14 +178,14 @@ class Client:
         if player.at_rest:
             self._player = None
             self._check(self._control.servoStop(STOP_ACCELERATION), "servoStop")
-            self._become("idle")
+            self._transition("idle")
 
     def _look_whether_there(self, now: float) -> None:
         running = self._control.getAsyncOperationProgressEx().isAsyncOperationRunning()
         self._seen_moving = self._seen_moving or running
         # a move to where the arm is already may be over before it is seen to run
         if not running and (self._seen_moving or now - self._moved_at > UNSEEN):
-            self._become("idle")
+            self._transition("idle")
 
     def _at_once(self, call: Callable[[], bool]) -> bool:
         began = time.monotonic()
@@ -199,7 +199,7 @@ class Client:
         if not done:
             raise FaultError(f"the controller did not carry out {what}: its program does not run any more")
 
-    def _become(self, state: str) -> None:
+    def _transition(self, state: str) -> None:
         self.state = state
         self._tell(time.monotonic())
 

@@ -28,9 +28,9 @@ from labhil_ur5.declared import (
     TARGET_COLUMNS,
     TIMESTAMP,
 )
+from labhil_ur5.fault import SAFETY_NORMAL, said_of
 from labhil_ur5.motion import Motion, MotionState
 from labhil_ur5.rtde import Receiver, Recipe
-from labhil_ur5.trouble import SAFETY_NORMAL, said_of
 
 E_SERIES_RATE, CB3_RATE = 500.0, 125.0
 WAYPOINT_RATE = 100.0
@@ -222,13 +222,13 @@ class Ur5Driver:
         self._seq += cycles
         return True
 
-    def trouble(self) -> str:
+    def fault(self) -> str:
         """Return why the arm cannot be commanded as it is, in words; empty when it can."""
         if self._lost_because:
             return f"the arm's client was lost ({self._lost_because}); it is started again"
         return said_of(self._latest, commanded=self._motion.state is not MotionState.NONE)
 
-    def recovers(self) -> bool:
+    def is_transient(self) -> bool:
         """Whether the trouble is a client process that died and is being replaced.
 
         Where the controller ended the program, perhaps because somebody pressed stop, nothing goes on.
@@ -278,7 +278,7 @@ class Ur5Driver:
         near = max(abs(a - b) for a, b in zip(q, here, strict=True)) <= THERE
         begins = time.monotonic() - self._begun_at < BEGINNING
         if motion.state is MotionState.NONE:
-            if not self.trouble():
+            if not self.fault():
                 motion.start()
         elif motion.state is MotionState.IDLE and not near and not (begins and self._timed):
             if t_hw_ns is not None:

@@ -10,7 +10,7 @@ from typing import cast
 
 import numpy as np
 
-from labhil.analysis.material import Material, load_material
+from labhil.analysis.dataset import Dataset, load_dataset
 from labhil.analysis.patch import KEPT, OTHERS, Attempt, Joint, Patch, difference, write
 from labhil.analysis.patch_source import Found
 from labhil.errors import UsageError
@@ -67,7 +67,7 @@ def patch_arm(
         UsageError: The files do not belong together, or the repaired file does not keep the promise.
     """
     bench = ArmBench.of(into, rig_file)
-    material = load_material(found.search, bench.rig, found.test or None, holdout)
+    material = load_dataset(found.search, bench.rig, found.test or None, holdout)
     model = material.model
     if not isinstance(model, ArmFileModel):
         raise UsageError("expected a diagnosis of one recording of an arm, found one of several recordings")
@@ -119,7 +119,7 @@ def _theta(model: ArmFileModel, values: Mapping[str, float]) -> np.ndarray:
     return theta
 
 
-def _score(model: ArmFileModel, theta: np.ndarray, material: Material) -> Score:
+def _score(model: ArmFileModel, theta: np.ndarray, material: Dataset) -> Score:
     return score(model, theta, material.judge, noise_of(material.judge), None)
 
 
@@ -154,7 +154,7 @@ def _run(
     model: ArmFileModel,
     out: Path,
     beside: Beside,
-    material: Material,
+    material: Dataset,
     into: Path,
     candidate: PatchedArm | None = None,
 ) -> Score:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from labhil.analysis.material import HOLDOUT
+from labhil.analysis.dataset import HOLDOUT
 from labhil.analysis.results import SavedModel
 from labhil.analysis.schema import (
     DiagnosisPart,

@@ -12,7 +12,7 @@ import numpy as np
 
 from labhil.analysis.compared_models import Candidate, Stretch, candidates_of
 from labhil.analysis.comparison_words import next_steps, statement
-from labhil.analysis.material import Taken, measured_of, naming, read_all, refuse_holes, rig_of
+from labhil.analysis.dataset import Taken, measured_of, naming, read_all, refuse_holes, rig_of
 from labhil.analysis.paired import block_squares, paired_p_value
 from labhil.analysis.results import SavedModel, Source, finite
 from labhil.analysis.schema import ComparisonPart, checked

@@ -11,8 +11,8 @@ from labhil.analysis.results import Reference, SavedModel
 from labhil.documents import parse_json, read_document
 from labhil.errors import ModelFileError
 from labhil.identify.extended import Coordinate
-from labhil.identify.kept_curve import KeptCurve, ModelUnderCurves
-from labhil.physics.extra_force import MovedPart, Over, Yielding, placed
+from labhil.identify.saved_curve import ModelUnderCurves, SavedCurve
+from labhil.physics.extra_force import AcceptsExtraForce, CurveArgument, MovedPart, placed
 from labhil.physics.model import Model, unit_of
 from labhil.signals import FloatArray
 
@@ -28,7 +28,7 @@ def under_kept_curve(model: Model, path: Reference | None) -> Model:
     stated = [] if path is None else _stated(path)
     if path is None or not stated:
         return model
-    if not isinstance(model, Yielding):
+    if not isinstance(model, AcceptsExtraForce):
         raise ModelFileError(f"{path}: curve: a model of {model.kind} takes no force beside its terms")
     return ModelUnderCurves(model, [_curve(path, each, model) for each in stated])
 
@@ -52,7 +52,7 @@ def curves_json(model: Model) -> list[dict[str, Any]]:
     return [_stating(curve) for curve in model.curves] if isinstance(model, ModelUnderCurves) else []
 
 
-def _stating(curve: KeptCurve) -> dict[str, Any]:
+def _stating(curve: SavedCurve) -> dict[str, Any]:
     return {
         "depends_on": [curve.coordinate.name],
         "joint": curve.coordinate.part.joint,
@@ -77,15 +77,16 @@ def _stated(path: Reference) -> list[Mapping[str, Any]]:
     return [each for each in stated if each is not None]
 
 
-def _curve(path: Reference, stated: Mapping[str, Any], model: Yielding) -> KeptCurve:
+def _curve(path: Reference, stated: Mapping[str, Any], model: AcceptsExtraForce) -> SavedCurve:
     try:
-        name, acts = str(stated["depends_on"][0]), Over[str(stated["acts"]).upper()]
+        name, acts = str(stated["depends_on"][0]), CurveArgument[str(stated["acts"]).upper()]
         x, value = _numbers(stated["x"][0]), _numbers(stated["value"])
         low, high = (_numbers(side) for side in stated.get("ci99") or (stated["value"], stated["value"]))
     except (KeyError, IndexError, TypeError, ValueError) as error:
+        known = ", ".join(argument.name.lower() for argument in CurveArgument)
         raise ModelFileError(
-            f"{path}: curve: expected depends_on, acts ({', '.join(o.name.lower() for o in Over)}), x and "
-            f"value as `labhil diagnose` writes them, found {error!r}"
+            f"{path}: curve: expected depends_on, acts ({known}), x and value as `labhil diagnose` writes "
+            f"them, found {error!r}"
         ) from error
     if not len(x) == len(value) == len(low) == len(high) or len(x) < 2:
         raise ModelFileError(f"{path}: curve: expected as many of x, value and ci99, two or more")
@@ -97,10 +98,10 @@ def _curve(path: Reference, stated: Mapping[str, Any], model: Yielding) -> KeptC
         known = ", ".join(model.coordinate_units)
         raise ModelFileError(f"{path}: curve: depends_on: expected one of {known}, found {name!r}")
     coordinate = Coordinate(name, unit, acts, _part(path, stated, placed(model, [name])))
-    return KeptCurve(coordinate, x, value, low, high, str(stated.get("unit", "")), stated.get("formula"))
+    return SavedCurve(coordinate, x, value, low, high, str(stated.get("unit", "")), stated.get("formula"))
 
 
-def _part(path: Reference, stated: Mapping[str, Any], model: Yielding) -> MovedPart:
+def _part(path: Reference, stated: Mapping[str, Any], model: AcceptsExtraForce) -> MovedPart:
     """What the curve acts on, by the ``joint`` of an arm; of anything else there is one part."""
     joint = stated.get("joint")
     for part in model.moved:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from labhil.analysis.arm_patching import patch_arm
-from labhil.analysis.material import Material, load_material
+from labhil.analysis.dataset import Dataset, load_dataset
 from labhil.analysis.patch import KEPT, OTHERS, Attempt, Patch, difference, write
 from labhil.analysis.patch_source import Found, read_found
 from labhil.errors import UsageError
@@ -69,7 +69,7 @@ def patch(
     if found.horizon is None:
         raise UsageError(f"{result}: expected a simulation of {into}, found inverse dynamics of another file")
     bench = Bench.of(into, rig_file)
-    material = load_material(found.search, bench.rig, found.test or None, holdout)
+    material = load_dataset(found.search, bench.rig, found.test or None, holdout)
     values = {**_known(bench.rig), **found.values}
     progress("scoring the diagnosed model on the held-out data")
     model = _error(material.model, material, found.values, found.horizon)
@@ -127,7 +127,7 @@ class Bench:
         return max(2.0 * mechanism.timestep / candidate.parts * level / inertia, 1e-6)
 
     def run(
-        self, described: Described, material: Material, values: Mapping[str, float], horizon: float
+        self, described: Described, material: Dataset, values: Mapping[str, float], horizon: float
     ) -> float:
         """Error of a file as it stands, stepped by MuJoCo itself; ``values`` are effects beside it."""
         bare = default_rig(described.simulator.name)
@@ -144,7 +144,7 @@ def _known(rig: RigFile) -> dict[str, float]:
     return {name: value for name in rig.kind.known if (value := rig.known_number(name)) is not None}
 
 
-def _error(model: Model, material: Material, values: Mapping[str, float], horizon: float) -> Score:
+def _error(model: Model, material: Dataset, values: Mapping[str, float], horizon: float) -> Score:
     """The score of a model with these values on the held-out data."""
     theta, index = start_values(model.parameters), index_of(model.parameters)
     for name, value in values.items():
@@ -176,7 +176,7 @@ def _candidates(
 
 
 def _tried(
-    bench: Bench, candidate: Patched, text: str, out: Path, material: Material, horizon: float
+    bench: Bench, candidate: Patched, text: str, out: Path, material: Dataset, horizon: float
 ) -> float:
     """Error of a candidate that is loaded from where it shall stand, under a name of its own."""
     draft, code = out.with_name(f"{out.stem}.part{out.suffix}"), out.with_name(f"{out.stem}_part.py")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
+from labhil.analysis.dataset import Taken, measured_of, naming, read_all, refuse_holes, rig_of
 from labhil.analysis.kept_curve import under_kept_curve
-from labhil.analysis.material import Taken, measured_of, naming, read_all, refuse_holes, rig_of
 from labhil.analysis.results import Reference, SavedModel, finite, score_json, terms_of, values_of
 from labhil.analysis.schema import Score as ScorePart
 from labhil.analysis.schema import checked
@@ -14,7 +14,7 @@ from labhil.diagnose.intake import without_spikes
 from labhil.errors import ModelFileError, OptionError, UnknownNameError
 from labhil.identify.fitted import start_theta, with_only
 from labhil.identify.score import Score, score
-from labhil.identify.windows import noise_of, told_apart
+from labhil.identify.windows import noise_of, with_noise_scales
 from labhil.physics.model import Model, Record, index_of
 from labhil.physics.rigs import model_for
 from labhil.rig import RigFile
@@ -78,6 +78,6 @@ def model_on(
     foreign = [name for name in values if name not in known]
     if foreign:
         raise ModelFileError(f"{saved}: {foreign[0]}: a model of {rig.kind.name} has no such parameter")
-    record = told_apart(model, model.prepare(without_spikes(measured)))
+    record = with_noise_scales(model, model.prepare(without_spikes(measured)))
     theta = with_only(model, start_theta(model, values), set(terms_of(saved)) - set(without))
     return model, record, theta

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+from labhil.analysis.dataset import Dataset
 from labhil.analysis.kept_curve import curve_note, curves_json, under_kept_curve
-from labhil.analysis.material import Material
 from labhil.analysis.results import Reference, accepted_of, diagnosis_json, fit_json, terms_of, values_of
 from labhil.analysis.schema import DiagnosisPart, FitPart, checked
 from labhil.analysis.still import refuse_still
@@ -33,7 +33,7 @@ class FitResult:
     """A fit with its JSON."""
 
     fit: Fit
-    material: Material
+    material: Dataset
     json: Any
 
     @property
@@ -47,7 +47,7 @@ class DiagnosisResult:
     """A diagnosis with its JSON."""
 
     diagnosis: Diagnosis
-    material: Material
+    material: Dataset
     json: Any
 
     @property
@@ -58,7 +58,7 @@ class DiagnosisResult:
 
 @linear_algebra_in_one_thread()
 def fit_study(
-    material: Material,
+    material: Dataset,
     *,
     terms: Sequence[str] | None = None,
     start: Reference | None = None,
@@ -121,7 +121,7 @@ def _with_own(model: Model, terms: Sequence[str], *, stated: bool) -> tuple[str,
 
 @linear_algebra_in_one_thread()
 def diagnose_study(
-    material: Material,
+    material: Dataset,
     *,
     baseline: Sequence[str] | None = None,
     reference: Reference | None = None,
@@ -162,17 +162,17 @@ def diagnose_study(
 def _shown(model: Model, names: Sequence[str]) -> tuple[str, ...]:
     """Of terms that nobody asked for, those that this recording can show."""
     there = {term.name for term in model.terms.values()}
-    return tuple(name for name in names if name in there or name not in model.never_seen)
+    return tuple(name for name in names if name in there or name not in model.unobservable_terms)
 
 
-def _held_out(material: Material) -> list[list[float]]:
+def _held_out(material: Dataset) -> list[list[float]]:
     """Which stretch of each recording was held out of it, s; none where whole recordings were."""
     if material.judge_is_test or not material.held_out:
         return []
     return [[float(each.t[0]), float(each.t[-1])] for each in material.judge.recordings()]
 
 
-def _reference_values(material: Material, reference: Reference | None) -> Mapping[str, float] | None:
+def _reference_values(material: Dataset, reference: Reference | None) -> Mapping[str, float] | None:
     if reference is not None:
         return for_every_recording(material.model, values_of(reference))
     known = index_of(material.model.parameters)

@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from labhil.analysis.dataset import Taken, measured_of, refuse_holes, rig_of
 from labhil.analysis.kept_curve import under_kept_curve
-from labhil.analysis.material import Taken, measured_of, refuse_holes, rig_of
 from labhil.analysis.results import Reference, Source, accepted_of, finite, score_json
 from labhil.analysis.schema import VerificationPart, checked
 from labhil.diagnose.intake import without_spikes

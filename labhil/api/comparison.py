@@ -13,9 +13,9 @@ from labhil.api.inputs import (
     Warn,
     number_or_none,
     path_of,
+    progress_reporter,
     rig_file,
     taken_of,
-    telling,
 )
 from labhil.api.render import data_frame
 from labhil.api.result import Result, unsaved
@@ -201,7 +201,7 @@ def compare(
     from labhil.analysis.comparison import compare_study
 
     taken = [] if recording is None else taken_of(recording, "recording")
-    with telling(progress) as say:
+    with progress_reporter(progress) as say:
         found = compare_study(
             [_model_of(each) for each in results],
             taken,

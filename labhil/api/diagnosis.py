@@ -28,8 +28,8 @@ from labhil.api.inputs import (
     material_of,
     names_of,
     number_or_none,
+    progress_reporter,
     reference_of,
-    telling,
 )
 from labhil.api.render import axes_of, channel_of
 from labhil.api.result import ComputedResult, parameter_frame, parameter_set
@@ -324,7 +324,7 @@ def diagnose(
     material = material_of(
         rec, model, test, holdout, per_recording, span=span, device=device, run=run, warn=warn
     )
-    with telling(progress) as say, ending_early(number_or_none(seconds, "seconds")) as deadline:
+    with progress_reporter(progress) as say, ending_early(number_or_none(seconds, "seconds")) as deadline:
         found = diagnose_study(
             material,
             baseline=names_of(baseline, "baseline"),

@@ -23,8 +23,8 @@ from labhil.api.inputs import (
     material_of,
     names_of,
     number_or_none,
+    progress_reporter,
     reference_of,
-    telling,
     whole_number_of,
 )
 from labhil.api.render import axes_of, channel_of
@@ -335,7 +335,7 @@ def fit(
     material = material_of(
         rec, model, test, holdout, per_recording, span=span, all_of_it=True, device=device, run=run, warn=warn
     )
-    with telling(progress) as say, ending_early(number_or_none(seconds, "seconds")) as deadline:
+    with progress_reporter(progress) as say, ending_early(number_or_none(seconds, "seconds")) as deadline:
         length, draw = number_or_none(window, "window"), whole_number_of(seed, "seed")
         how = Options(length, method, simultaneous, estimator_named(estimator), draw, say, metric)
         found = fit_study(

@@ -16,7 +16,7 @@ from labhil.kinds import kind_names
 from labhil.rig import RigFile, default_rig, is_simulator, load_rig
 
 if TYPE_CHECKING:
-    from labhil.analysis.material import Material
+    from labhil.analysis.dataset import Dataset
     from labhil.analysis.results import SavedModel
     from labhil.api.diagnosis import Diagnosis
     from labhil.api.fit import Fit
@@ -129,11 +129,11 @@ def material_of(
     run: int | None,
     warn: Warn,
     all_of_it: bool = False,
-) -> Material:
+) -> Dataset:
     """The data that a fit or a diagnosis is made from; ``warn`` hears what they lack."""
-    from labhil.analysis.material import load_material
+    from labhil.analysis.dataset import load_dataset
 
-    material = load_material(
+    material = load_dataset(
         taken_of(rec, "rec"),
         rig_file(model),
         None if test is None else taken_of(test, "test"),
@@ -164,7 +164,7 @@ def _taken(given: object, what: str) -> Path | FileRecording:
 
 
 @contextmanager
-def telling(progress: Progress) -> Iterator[Callable[[str], None]]:
+def progress_reporter(progress: Progress) -> Iterator[Callable[[str], None]]:
     """What is called with a text about each stage of the work."""
     if callable(progress):
         yield progress

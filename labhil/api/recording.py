@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from labhil.api.inputs import PathLike, Progress, path_of, rig_file, telling
+from labhil.api.inputs import PathLike, Progress, path_of, progress_reporter, rig_file
 from labhil.api.model import Model
 from labhil.api.render import axes_of, data_frame, data_set
 from labhil.errors import RecordingError, UsageError, suggestion
@@ -277,7 +277,7 @@ def read(
             )
         from labhil.analysis.tables import read_table
 
-        with telling(progress) as say:
+        with progress_reporter(progress) as say:
             table, notes, content = read_table(file, own, say)
         return Recording(table, tuple(notes), content)
     found = read_recording(file, run).of_device(device)

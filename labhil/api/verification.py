@@ -12,10 +12,10 @@ from labhil.api.inputs import (
     Progress,
     Warn,
     number_of,
+    progress_reporter,
     reference_of,
     rig_file,
     taken_of,
-    telling,
 )
 from labhil.api.render import data_frame
 from labhil.api.result import Result
@@ -169,7 +169,7 @@ def verify(
     taken = taken_of(rec, "rec")
     if len(taken) != 1:
         raise UsageError(f"rec: expected one recording, found {len(taken)}")
-    with telling(progress) as say:
+    with progress_reporter(progress) as say:
         found = verify_study(
             taken[0],
             reference,

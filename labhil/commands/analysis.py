@@ -290,11 +290,11 @@ def linear(
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
 ) -> None:
     """Fit linear and black-box baselines, to see what physics is worth: ARX, OE, state space, NARX, …"""
-    from labhil.analysis.material import load_material
+    from labhil.analysis.dataset import load_dataset
     from labhil.identify.linear import linear_study, study_json, study_text
 
     refuse_unwritable(json_path)
-    material = load_material(recording, rig, test, holdout, run=run)
+    material = load_dataset(recording, rig, test, holdout, run=run)
     tell(material.losses())
     material.refuse_holes()
     with status() as say:

@@ -64,7 +64,7 @@ def _play(playing: Replay) -> None:
     with Interruption() as interrupted:
         while not interrupted() and not playing.wait(0.1):
             continue
-    if playing.trouble:
-        raise BusError(playing.trouble)
+    if playing.fault:
+        raise BusError(playing.fault)
     if playing.overflows:
         tell([f"{playing.overflows} samples were dropped: the bus could not take so many; lower --speed"])

@@ -9,9 +9,9 @@ import numpy as np
 
 from labhil.diagnose.judge import Data
 from labhil.ending import EndedEarly, accept
-from labhil.identify.fitted import Fitted, climb, fit_briefly, start_theta
-from labhil.identify.noise import lasting_noise
-from labhil.identify.windows import noise_of, told_apart
+from labhil.identify.fitted import Fitted, fit_briefly, fit_by_continuation, start_theta
+from labhil.identify.noise import estimate_coloured_noise
+from labhil.identify.windows import noise_of, with_noise_scales
 from labhil.physics.model import Model, Record
 
 SEARCH_WINDOW_IN_HORIZONS = 0.375
@@ -25,7 +25,7 @@ def data_of(
     model: Model, searched: Record, held_out: Record, reference: Mapping[str, float] | None = None
 ) -> Data:
     """What a search works on, its fits begun at ``reference`` where there is one."""
-    searched, held_out = told_apart(model, searched), told_apart(model, held_out)
+    searched, held_out = with_noise_scales(model, searched), with_noise_scales(model, held_out)
     window, begin = SEARCH_WINDOW_IN_HORIZONS * model.horizon, start_theta(model, reference)
     return Data(model, searched, held_out, noise_of(searched), noise_of(held_out), window, begin)
 
@@ -35,7 +35,7 @@ def baseline_of(data: Data, terms: Sequence[str]) -> tuple[Data, Fitted, bool]:
     base: Fitted | None = None
     try:
         base = fit_baseline(data, terms)
-        return *with_lasting_noise(data, base), False
+        return *with_coloured_noise(data, base), False
     except EndedEarly:
         accept()
     if base is None:
@@ -48,13 +48,15 @@ def fit_baseline(data: Data, terms: Sequence[str]) -> Fitted:
     """The baseline on the windows of the search, by way of shorter ones."""
     lengths = [FIRST_WINDOW_IN_HORIZONS * data.model.horizon, data.window]
     model, record, sigma, begin = data.model, data.search, data.sigma, data.begin
-    return climb(model, record, terms, lengths, sigma, start=begin, fresh=terms, held=data.held)[-1]
+    return fit_by_continuation(
+        model, record, terms, lengths, sigma, start=begin, fresh=terms, held=data.held
+    )[-1]
 
 
-def with_lasting_noise(data: Data, base: Fitted) -> tuple[Data, Fitted]:
+def with_coloured_noise(data: Data, base: Fitted) -> tuple[Data, Fitted]:
     """The data with noise as the baseline leaves it on short windows, and the baseline in units of that."""
-    seen = lasting_noise(data.model, base.theta, data.search, data.sigma).sigma
-    tested = lasting_noise(data.model, base.theta, data.test, data.test_sigma).sigma
+    seen = estimate_coloured_noise(data.model, base.theta, data.search, data.sigma).sigma
+    tested = estimate_coloured_noise(data.model, base.theta, data.test, data.test_sigma).sigma
     if np.all((seen < LASTS * data.sigma) & (LASTS * seen > data.sigma)):
         return replace(data, test_sigma=tested), base
     data = replace(data, sigma=seen, test_sigma=tested)

@@ -6,12 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
-from labhil.diagnose.found import Found
+from labhil.diagnose.adequacy import UNEXPLAINED, unexplained
+from labhil.diagnose.force_curve import ForceCurve, stated
 from labhil.diagnose.joint_curves import joint_curves
 from labhil.diagnose.judge import Data
-from labhil.diagnose.rest import UNEXPLAINED, unexplained
-from labhil.diagnose.unmodelled import Unmodelled, stated
-from labhil.identify.noise import lasting_noise
+from labhil.diagnose.search_result import SearchResult
+from labhil.identify.noise import estimate_coloured_noise
 from labhil.identify.score import Score, score, scored_horizon
 from labhil.identify.windows import noise_of
 from labhil.physics.model import Metric, Model
@@ -33,8 +33,8 @@ class Concluded:
     """
 
     data: Data
-    found: Found
-    curves: tuple[Unmodelled, ...]
+    found: SearchResult
+    curves: tuple[ForceCurve, ...]
     more: bool
     before: Score
     after: Score
@@ -76,17 +76,17 @@ class HeldOutScores:
     of_model: Callable[[Model, FloatArray], Score]
 
     @classmethod
-    def of(cls, data: Data, found: Found) -> HeldOutScores:
+    def of(cls, data: Data, found: SearchResult) -> HeldOutScores:
         """Those of a search; ``of_model`` scores any other model likewise."""
         model, theta = data.model, found.final.theta
         horizon = scored_horizon(model, theta, data.test)
-        noise = lasting_noise(model, theta, data.test, noise_of(data.test))
+        noise = estimate_coloured_noise(model, theta, data.test, noise_of(data.test))
         marked = partial(score, record=data.test, sigma=noise.sigma, horizon=horizon, lasts=noise.lasts)
         before = marked(model, found.baseline.theta)
         return cls(before, marked(model, theta) if found.missing else before, noise.sigma, marked)
 
 
-def conclude(data: Data, found: Found, left: FloatArray, progress: Callable[[str], None]) -> Concluded:
+def conclude(data: Data, found: SearchResult, left: FloatArray, progress: Callable[[str], None]) -> Concluded:
     """Score what was found on held-out data, before and after on the same windows and of the same noise.
 
     Of inverse dynamics every joint that still leaves much has a curve of its own, by linear algebra.
@@ -94,14 +94,14 @@ def conclude(data: Data, found: Found, left: FloatArray, progress: Callable[[str
     progress("scores, intervals and exclusion limits")
     marked = HeldOutScores.of(data, found)
     more = leaves_more(data, found, left, marked.after.excess)
-    curves: tuple[Unmodelled, ...] = () if found.curve is None else (stated(data, found.curve),)
+    curves: tuple[ForceCurve, ...] = () if found.curve is None else (stated(data, found.curve),)
     if data.model.metric is Metric.INVERSE_DYNAMICS and found.complete:
         curves = joint_curves(data, found)
     end = Concluded(data, found, curves, more, marked.before, marked.after, marked.sigma)
     return replace(end, after=marked.of_model(*end.accepted)) if curves else end
 
 
-def leaves_more(data: Data, found: Found, left: FloatArray, excess: float) -> bool:
+def leaves_more(data: Data, found: SearchResult, left: FloatArray, excess: float) -> bool:
     """Whether more than noise is left: by the metric alone, or by windows that know their states and it.
 
     Noise that lasts is not known so well from short windows that these alone could raise an alarm.

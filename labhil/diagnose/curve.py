@@ -17,8 +17,8 @@ from labhil.identify.spline import Spline
 from labhil.identify.statistics import Estimate, estimates
 from labhil.identify.window_states import fit_states, search_states
 from labhil.identify.windows import fit_windows
-from labhil.physics.extra_force import Over, Unplaced, Yielding
-from labhil.physics.terms import Yardstick
+from labhil.physics.extra_force import AcceptsExtraForce, CurveArgument, PositionUnobserved
+from labhil.physics.terms import CharacteristicScale
 from labhil.signals import FloatArray
 
 FUNCTIONS = 24
@@ -90,7 +90,7 @@ class Curved:
     def places(self) -> int:
         """States that windows have only so that they know where the curve's part stands."""
         inner = self.model.inner
-        unseen = isinstance(inner, Unplaced) and self.model.coordinate.name in inner.state_names
+        unseen = isinstance(inner, PositionUnobserved) and self.model.coordinate.name in inner.state_names
         return len(self.fitted.problem.windows) if unseen else 0
 
 
@@ -121,13 +121,15 @@ def with_spline(
     ``along`` (N,) is the coordinate where the data are.
     """
     inner = begun.problem.model
-    assert isinstance(inner, Yielding)
+    assert isinstance(inner, AcceptsExtraForce)
     old = begun.problem
-    measure = inner.yardsticks(old.record)
+    measure = inner.characteristic_scales(old.record)
     part = coordinate.part
-    speed = part.speed * measure[Yardstick.SPEED] if coordinate.acts is Over.DAMPING else 1.0
+    speed = (
+        part.speed * measure[CharacteristicScale.SPEED] if coordinate.acts is CurveArgument.DAMPING else 1.0
+    )
     share, functions = (SIZE, FUNCTIONS) if part.joint is None else (SIZE_ON_A_JOINT, FUNCTIONS_OF_A_JOINT)
-    size = share * part.force * measure[Yardstick.DRIVE] / speed
+    size = share * part.force * measure[CharacteristicScale.DRIVE] / speed
     model = ExtendedModel(inner, coordinate, Spline.of(along, functions), size)
     own = len(inner.parameters)
     free = np.r_[old.free, own + np.arange(model.spline.count)]

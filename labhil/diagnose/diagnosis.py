@@ -10,15 +10,17 @@ from functools import partial
 import numpy as np
 from scipy import stats
 
-from labhil.diagnose import telling
+from labhil.diagnose import statements
 from labhil.diagnose.accepted import Accepted, accepted_error
+from labhil.diagnose.adequacy import residual_rms
 from labhil.diagnose.answer import Change, Diagnosis, Undecided
+from labhil.diagnose.augmented import augmented_search
 from labhil.diagnose.begin import baseline_of, data_of, fit_baseline
 from labhil.diagnose.collapsed import given_way, kept_near
 from labhil.diagnose.conclude import Concluded, conclude
 from labhil.diagnose.evidence import effective_samples
 from labhil.diagnose.final_table import final_table
-from labhil.diagnose.found import Found
+from labhil.diagnose.force_curve import ForceCurve
 from labhil.diagnose.intake import Fault, usable
 from labhil.diagnose.joint_curves import strongest
 from labhil.diagnose.judge import TOGETHER, Data, far_likelier
@@ -26,11 +28,9 @@ from labhil.diagnose.load import with_load
 from labhil.diagnose.minor import without_minor
 from labhil.diagnose.refit import on_windows
 from labhil.diagnose.remainder import find_remainder
-from labhil.diagnose.rest import left_by
+from labhil.diagnose.search_result import SearchResult
 from labhil.diagnose.structures.stages import search_structures
 from labhil.diagnose.timing import all_faults
-from labhil.diagnose.unmodelled import Unmodelled
-from labhil.diagnose.wider import looked_wider
 from labhil.ending import EndedEarly, accept
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import score, with_forces
@@ -103,18 +103,18 @@ def _answer(
         baseline=table_of(found.baseline).rows,
         changed=changed,
         collapsed=found.collapsed,
-        location=telling.location(found, end.before, end.after, end.data.test, told, wider=wider),
+        location=statements.location(found, end.before, end.after, end.data.test, told, wider=wider),
         missing=(
-            *(telling.missing(model, step, found, final, *claimed) for step in found.missing),
-            *(telling.unnamed(curve, *claimed) for curve in told),
+            *(statements.missing(model, step, found, final, *claimed) for step in found.missing),
+            *(statements.unnamed(curve, *claimed) for curve in told),
         ),
-        rivals=tuple(telling.rival_term(model, rival, found, *claimed) for rival in found.rivals),
+        rivals=tuple(statements.rival_term(model, rival, found, *claimed) for rival in found.rivals),
         undecided=(
-            *telling.too_little(found),
-            *telling.as_likely_as_not(found),
-            *telling.undecided(model),
+            *statements.too_little(found),
+            *statements.as_likely_as_not(found),
+            *statements.undecided(model),
         ),
-        excluded=telling.excluded(end.data, found),
+        excluded=statements.excluded(end.data, found),
         data="heldout",
         held_out=end.data.test,
         before=with_forces(end.before, model, found.baseline.theta, end.data.test, end.sigma),
@@ -123,8 +123,8 @@ def _answer(
         final=final,
         baseline_fit=found.baseline,
         final_fit=found.final,
-        curve=telling.curve(told[0]) if told else None,
-        further_curves=tuple(telling.curve(curve) for curve in told[1:]),
+        curve=statements.curve(told[0]) if told else None,
+        further_curves=tuple(statements.curve(curve) for curve in told[1:]),
         seconds=0.0,
         shorter=end.on_shorter_windows,
         wider=wider,
@@ -151,7 +151,7 @@ def _refused(
     return None
 
 
-def _names(found: Found, curves: Sequence[Unmodelled]) -> list[str]:
+def _names(found: SearchResult, curves: Sequence[ForceCurve]) -> list[str]:
     """What was found: keys of terms, and what each curve is over."""
     over = [f"a force over {curve.depends_on[0]}" for curve in curves]
     return [*(step.terms[0] for step in found.missing), *over]
@@ -159,14 +159,14 @@ def _names(found: Found, curves: Sequence[Unmodelled]) -> list[str]:
 
 def _concluded(
     data: Data,
-    found: Found,
-    look: Callable[[Data, Fitted], Found],
+    found: SearchResult,
+    look: Callable[[Data, Fitted], SearchResult],
     progress: Callable[[str], None],
 ) -> Concluded:
     """The end of a diagnosis; of one that is ended early, what its first search found."""
     try:
         if found.complete:
-            data, found, left = looked_wider(data, found, look, progress)
+            data, found, left = augmented_search(data, found, look, progress)
             # sizes that were kept near nominal stay there
             data = replace(data, model=found.final.problem.model)
             return conclude(data, found, left, progress)
@@ -174,7 +174,7 @@ def _concluded(
         accept()
     found = replace(found, complete=False)
     data = replace(data, model=found.final.problem.model)
-    return conclude(data, found, left_by(data, found.final), progress)
+    return conclude(data, found, residual_rms(data, found.final), progress)
 
 
 def _found(
@@ -185,7 +185,7 @@ def _found(
     reference: Mapping[str, float] | None,
     accepted: Accepted | None,
     progress: Callable[[str], None],
-) -> Found:
+) -> SearchResult:
     """Search once; with values of the user's own sizes, once more with these held."""
     found = search_structures(data, base, progress)
     try:
@@ -205,7 +205,7 @@ def _found(
         return replace(found, complete=False)
 
 
-def _with_credible_sizes(data: Data, found: Found, progress: Callable[[str], None]) -> Found:
+def _with_credible_sizes(data: Data, found: SearchResult, progress: Callable[[str], None]) -> SearchResult:
     """What was found; where the baseline's own sizes gave way, once more with these kept near nominal.
 
     The second answer has to be far likelier on the searched data: a nominal value may be wrong.
@@ -242,7 +242,7 @@ def _sizes(model: Model, reference: Mapping[str, float]) -> frozenset[str]:
     return frozenset(p.key for p in model.parameters if p.term is None and p.key in reference)
 
 
-def _simpler(free: Found, held: Found) -> Found:
+def _simpler(free: SearchResult, held: SearchResult) -> SearchResult:
     """The better of two searches by BIC on the search data.
 
     Refitted sizes may absorb what is missing: a load at the flange is a change of many inertias. Held ones

@@ -36,18 +36,21 @@ class Evidence:
 def effective_samples(fitted: Fitted, joint: int | None = None) -> float:
     """How many independent residuals those of a fit are worth, or those of one joint's output."""
     problem = fitted.problem
-    return independent(_channels(fitted, joint), problem.begins, float(problem.telling.mean()))
+    return independent(_channels(fitted, joint), problem.begins, float(problem.effective_fraction.mean()))
 
 
-def independent(residuals: FloatArray, begins: Sequence[int] = (0,), telling: float = 1.0) -> float:
+def independent(
+    residuals: FloatArray, begins: Sequence[int] = (0,), effective_fraction: float = 1.0
+) -> float:
     """How many independent ones residuals (n, channels) are worth, by an AR(1) of all channels.
 
-    Recordings begin at the rows ``begins``. No more than the share ``telling``, where readings are rounded.
+    Recordings begin at the rows ``begins``. No more than the share ``effective_fraction``, where readings are
+    rounded.
     """
     power = float(np.sum(residuals**2))
     rho = float(np.sum(neighbours(residuals, begins))) / power if power > 0 else 0.0
     rho = min(max(rho, 0.0), 0.99)
-    return residuals.size * min((1.0 - rho) / (1.0 + rho), telling)
+    return residuals.size * min((1.0 - rho) / (1.0 + rho), effective_fraction)
 
 
 def bic(fitted: Fitted, effective: float, degrees: float | None = None, joint: int | None = None) -> float:

@@ -8,7 +8,7 @@ from labhil.diagnose.accepted import Accepted, accepted_error
 from labhil.diagnose.conclude import Concluded
 from labhil.diagnose.contrasts import between_parts, between_recordings, on_held_out, scale_factor
 from labhil.diagnose.discrepancy import moved_by_what_is_left
-from labhil.diagnose.found import Found
+from labhil.diagnose.search_result import SearchResult
 from labhil.ending import EndedEarly, accept
 from labhil.identify.fitted import Fitted
 from labhil.identify.statistics import Estimate, stated, with_error, with_wider_error
@@ -56,7 +56,7 @@ def _on_held_out(end: Concluded) -> Fitted | None:
         return None
 
 
-def _with_held(rows: list[Estimate], found: Found, accepted: Accepted | None) -> list[Estimate]:
+def _with_held(rows: list[Estimate], found: SearchResult, accepted: Accepted | None) -> list[Estimate]:
     """The rows, those of sizes that were held before them, with errors that no fit can know.
 
     A size that was held at an accepted value is known as well as that.
@@ -73,7 +73,7 @@ def _with_held(rows: list[Estimate], found: Found, accepted: Accepted | None) ->
     return [with_error(row, found.errors.get(row.key, 0.0)) for row in rows]
 
 
-def _with_bias(row: Estimate, found: Found, scale: float, moved: float) -> Estimate:
+def _with_bias(row: Estimate, found: SearchResult, scale: float, moved: float) -> Estimate:
     """The row with its error times ``scale``, and beside it what is left and other structures may do."""
     parameter = next((p for p in found.final.problem.model.parameters if p.key == row.key), None)
     beside = np.hypot(found.between_structures(row.key), moved)

@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from labhil.diagnose.found import Found
+from labhil.diagnose.adequacy import residual_rms
+from labhil.diagnose.force_curve import ForceCurve, unmodelled
 from labhil.diagnose.judge import Data
 from labhil.diagnose.refit import refit
-from labhil.diagnose.rest import left_by
-from labhil.diagnose.unmodelled import Unmodelled, unmodelled
+from labhil.diagnose.search_result import SearchResult
 from labhil.identify.fitted import Fitted
-from labhil.identify.kept_curve import under
-from labhil.physics.extra_force import MovedPart, Yielding
+from labhil.identify.saved_curve import under
+from labhil.physics.extra_force import AcceptsExtraForce, MovedPart
 
 LEFT = 1.15
 """What a joint leaves, in units of its noise, from which a torque on it is looked for.
@@ -26,15 +26,15 @@ MUCH_LEFT = 1.5
 """The same that is no imperfection of the noise: without a curve there the search goes on at other joints."""
 
 
-def joint_curves(data: Data, found: Found) -> tuple[Unmodelled, ...]:
+def joint_curves(data: Data, found: SearchResult) -> tuple[ForceCurve, ...]:
     """Torques that no named term explains.
 
     The joints have their turns by what is left of them, until little is left or the worst of what is little
     more than noise has none.
     """
     data = replace(data, held=found.final.held)
-    model, curves = data.model, tuple[Unmodelled, ...]()
-    waiting = list(model.moved) if isinstance(model, Yielding) else []
+    model, curves = data.model, tuple[ForceCurve, ...]()
+    waiting = list(model.moved) if isinstance(model, AcceptsExtraForce) else []
     while waiting:
         part, most = _worst(data, found, curves, waiting)
         if most < LEFT:
@@ -48,25 +48,25 @@ def joint_curves(data: Data, found: Found) -> tuple[Unmodelled, ...]:
     return curves
 
 
-def strongest(curves: Sequence[Unmodelled]) -> list[Unmodelled]:
+def strongest(curves: Sequence[ForceCurve]) -> list[ForceCurve]:
     """Those that bring held-out data closest to the noise first."""
     return sorted(curves, key=lambda curve: -curve.evidence.heldout_loglik_gain)
 
 
 def _worst(
-    data: Data, found: Found, curves: Sequence[Unmodelled], parts: Sequence[MovedPart]
+    data: Data, found: SearchResult, curves: Sequence[ForceCurve], parts: Sequence[MovedPart]
 ) -> tuple[MovedPart, float]:
     """The part whose output leaves most, and how much that is, in units of the noise."""
-    left = np.max(left_by(*_beside(data, found.final, curves)), axis=0)
+    left = np.max(residual_rms(*_beside(data, found.final, curves)), axis=0)
     of_joint = dict(zip(data.search.output_joints, left.tolist(), strict=True))
     worst = max(parts, key=lambda part: of_joint[part.joint])
     return worst, of_joint[worst.joint]
 
 
-def _beside(data: Data, final: Fitted, curves: Sequence[Unmodelled]) -> tuple[Data, Fitted]:
+def _beside(data: Data, final: Fitted, curves: Sequence[ForceCurve]) -> tuple[Data, Fitted]:
     """Data whose model is under these curves, and a fit of it with the same terms."""
     if not curves:
         return data, final
-    assert isinstance(data.model, Yielding)
+    assert isinstance(data.model, AcceptsExtraForce)
     data = replace(data, model=under(data.model, [curve.kept for curve in curves], data.search))
     return data, refit(data, final, final.terms, ())

@@ -16,10 +16,10 @@ from scipy.optimize import least_squares
 
 from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.evidence import Evidence, best_heldout_gain, bic, effective_samples, search_p_value
-from labhil.diagnose.found import Found, Step
 from labhil.diagnose.judge import Data, supported
 from labhil.diagnose.minor import without_minor
 from labhil.diagnose.refit import refit
+from labhil.diagnose.search_result import SearchResult, Step
 from labhil.identify.fitted import Fitted, covariances
 from labhil.physics.model import Model, index_of
 from labhil.signals import FloatArray
@@ -37,7 +37,7 @@ FARTHEST = 0.5
 
 
 @runtime_checkable
-class Loadable(Model, Protocol):
+class HasPayload(Model, Protocol):
     """A model that knows what a load adds to its sizes; ``scale_error`` is a relative one of all forces."""
 
     scale_error: float
@@ -55,10 +55,10 @@ class Load:
     errors: FloatArray
 
 
-def with_load(data: Data, found: Found, accepted: Accepted | None) -> Found:
+def with_load(data: Data, found: SearchResult, accepted: Accepted | None) -> SearchResult:
     """What was found, with the changes of the accepted sizes told as a load where one explains them."""
     model = data.model
-    if accepted is None or not isinstance(model, Loadable) or TERM not in model.terms:
+    if accepted is None or not isinstance(model, HasPayload) or TERM not in model.terms:
         return found
     if TERM in found.final.terms or not model.sizes_of_load(1.0, (0.0, 0.0, 0.0)):
         return found
@@ -69,7 +69,9 @@ def with_load(data: Data, found: Found, accepted: Accepted | None) -> Found:
     return _beside_what_counts(data, model, found, told, accepted)
 
 
-def _beside_what_counts(data: Data, model: Loadable, found: Found, told: Found, accepted: Accepted) -> Found:
+def _beside_what_counts(
+    data: Data, model: HasPayload, found: SearchResult, told: SearchResult, accepted: Accepted
+) -> SearchResult:
     """The load once more without terms that it made minor: they blurred the sizes that it is told from."""
     if not told.minor:
         return told
@@ -82,7 +84,7 @@ def _beside_what_counts(data: Data, model: Loadable, found: Found, told: Found, 
     return replace(again, minor=told.minor)
 
 
-def load_in(model: Loadable, fitted: Fitted, accepted: Accepted) -> Load | None:
+def load_in(model: HasPayload, fitted: Fitted, accepted: Accepted) -> Load | None:
     """The load that explains how sizes differ from the accepted ones; None where none does.
 
     A size that the accepted model does not have was not told from zero there: it counts as zero, with the
@@ -118,7 +120,7 @@ def load_in(model: Loadable, fitted: Fitted, accepted: Accepted) -> Load | None:
     return Load(np.asarray(end.x), errors) if certain else None
 
 
-def _told(data: Data, model: Loadable, found: Found, load: Load, accepted: Accepted) -> Found:
+def _told(data: Data, model: HasPayload, found: SearchResult, load: Load, accepted: Accepted) -> SearchResult:
     """The same account with the load as a term, if data that the search never saw support it."""
     places = index_of(model.parameters)
     added = model.sizes_of_load(float(load.values[0]), load.values[1:].tolist())

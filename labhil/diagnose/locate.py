@@ -9,7 +9,7 @@ import numpy as np
 
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score
-from labhil.physics.extra_force import Yielding
+from labhil.physics.extra_force import AcceptsExtraForce
 from labhil.physics.model import Metric, Model, Record, Windows, index_of
 from labhil.physics.terms import unkeyed
 from labhil.signals import FloatArray
@@ -203,8 +203,8 @@ def contribution(
     less = without_sizes(model, final.theta, term)
     along = model.coordinates(final.theta, record, windows, states)
     driven = model.driven(less, record, windows, along)
-    values = model.effort(final.theta, along) - model.effort(less, {**along, **driven})
-    unit = model.force_unit if isinstance(model, Yielding) and np.any(values) else ""
+    values = model.generalised_force(final.theta, along) - model.generalised_force(less, {**along, **driven})
+    unit = model.force_unit if isinstance(model, AcceptsExtraForce) and np.any(values) else ""
     if not np.any(values) and driven:
         values = np.column_stack([along[name] - driven[name] for name in driven])
     if not np.any(values):

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labhil.diagnose.found import Found, Minor
 from labhil.diagnose.judge import Data
 from labhil.diagnose.refit import refit, without
+from labhil.diagnose.search_result import Minor, SearchResult
 from labhil.identify.fitted import Fitted
 from labhil.signals import BoolArray, FloatArray
 
@@ -29,7 +29,7 @@ class Explained:
         return self.share >= LEAST_SHARE or self.mean_square >= 1.0
 
 
-def without_minor(data: Data, found: Found) -> Found:
+def without_minor(data: Data, found: SearchResult) -> SearchResult:
     """What was found but for terms that explain less than the noise and too little, the least one first.
 
     Only where by the evidence something lasts beside what was found: laws that leave nothing but noise are no
@@ -55,7 +55,7 @@ def without_minor(data: Data, found: Found) -> Found:
     return replace(found, minor=(*found.minor, *minor))
 
 
-def _explained(found: Found) -> dict[str, Explained]:
+def _explained(found: SearchResult) -> dict[str, Explained]:
     """What each term explains of the outputs that it acts on: the others take its part as slopes allow."""
     final, problem = found.final, found.final.problem
     lin = problem.linearise(final.solution.point, final.solution.residuals)

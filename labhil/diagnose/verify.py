@@ -24,7 +24,7 @@ from labhil.identify.least_squares import least_squares
 from labhil.identify.problem import Point, Problem
 from labhil.identify.score import Score, score
 from labhil.identify.sensitivities import sensitivities
-from labhil.identify.window_states import settled_states
+from labhil.identify.window_states import estimate_states
 from labhil.identify.windows import fit_windows, noise_of
 from labhil.physics.model import Metric, Model, Record
 from labhil.physics.terms import keyed
@@ -173,7 +173,7 @@ def _fitted(
     free = free_of(model, accepted.terms)
     whole = Problem(model, record, windows, free, theta, sigma)
     z = whole.start().z
-    states = settled_states(whole, z, thorough=False).states
+    states = estimate_states(whole, z, thorough=False).states
     residuals = whole.residuals(Point(z, states))
     noise = float(np.sqrt(np.mean(residuals**2)))
     slopes = sensitivities(whole, Point(z, states), residuals, noise) / whole.scale

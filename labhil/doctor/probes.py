@@ -167,6 +167,6 @@ PROBES: Mapping[str, Callable[[], str]] = {
 if __name__ == "__main__":
     try:
         show(PROBES[sys.argv[1]]())
-    except Exception as trouble:  # noqa: BLE001 - whatever a library raises is what was found
-        complain(f"{type(trouble).__name__}: {trouble}")
+    except Exception as fault:  # noqa: BLE001 - whatever a library raises is what was found
+        complain(f"{type(fault).__name__}: {fault}")
         sys.exit(1)

@@ -79,9 +79,9 @@ class Devices:
             if failure is not None:
                 raise failure
         for run in self.runs:
-            trouble = run.failure()
-            if trouble is not None:
-                raise trouble
+            fault = run.failure()
+            if fault is not None:
+                raise fault
             patience = ENDING if run.ends else SILENCE
             if not run.comes_back and time.monotonic() - run.heard_at > patience:
                 raise BusError(f"{run.plan.name}: no samples on the bus for {patience:g} s")

@@ -175,11 +175,11 @@ class _Run:
         reason = "all steps are done"
         with recorder, ExitStack() as subscriptions:
             try:
-                self._become(RunState.STARTING, "starting")
+                self._transition(RunState.STARTING, "starting")
                 self._connect(bus, devices, twins, subscriptions)
                 self._around.before(devices, partial(self._look, recorder, devices))
                 devices.start()
-                self._become(RunState.RUNNING, "all devices are connected")
+                self._transition(RunState.RUNNING, "all devices are connected")
                 recorder.begin()
                 self._follow(recorder, devices)
             except _Enough as enough:
@@ -193,7 +193,7 @@ class _Run:
                 failure = self._stop(recorder, devices, error, reason)
             error = error or failure
             reason = reason if error is None else str(error)
-            self._become(RunState.FINISHED if error is None else RunState.FAILED, reason)
+            self._transition(RunState.FINISHED if error is None else RunState.FAILED, reason)
             subscriptions.close()
             status = 0 if error is None else error.exit_status
             summary = recorder.finish(str(status), reason)
@@ -320,7 +320,7 @@ class _Run:
         failure = self._devices.make_safe(f"paused: {reason}")
         if failure is not None:
             raise failure
-        self._become(RunState.PAUSED, reason)
+        self._transition(RunState.PAUSED, reason)
 
     def _resume(self, reason: str) -> None:
         assert self._devices is not None
@@ -333,7 +333,7 @@ class _Run:
             self._control.refuse(message)
             self._report(message)
             return
-        self._become(RunState.RUNNING, reason)
+        self._transition(RunState.RUNNING, reason)
 
     # stopping
 
@@ -341,9 +341,9 @@ class _Run:
         self, recorder: Recorder, devices: Devices, error: LabhilError | None, reason: str
     ) -> LabhilError | None:
         if error is None:
-            self._become(RunState.STOPPING, reason)
+            self._transition(RunState.STOPPING, reason)
         else:
-            self._become(RunState.ABORTING, str(error))
+            self._transition(RunState.ABORTING, str(error))
         failure = devices.make_safe("the run ends")
         if isinstance(error, EmergencyStopError):
             # whoever pressed it has yet to hear from each device, and what these do now is worth recording
@@ -361,9 +361,9 @@ class _Run:
         """Go from wherever the run was to its failed end."""
         for state in (RunState.ABORTING, RunState.FAILED):
             if self._control.state not in (state, RunState.FINISHED, RunState.FAILED):
-                self._become(state, reason)
+                self._transition(state, reason)
 
-    def _become(self, state: RunState, reason: str) -> None:
+    def _transition(self, state: RunState, reason: str) -> None:
         self._control.become(state, reason)
         self._publish(state.value, reason)
         self._report(reason)

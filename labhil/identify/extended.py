@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labhil.identify.spline import Spline
-from labhil.physics.extra_force import ExtraForce, MovedPart, Over, Yielding, along_positive
+from labhil.physics.extra_force import AcceptsExtraForce, CurveArgument, ExtraForce, MovedPart, along_positive
 from labhil.physics.model import Metric, Model, PartlyLinear, Record, Windows, unit_of
-from labhil.physics.terms import Enters, Parameter, Term, Yardstick
+from labhil.physics.terms import CharacteristicScale, Enters, Parameter, Term
 from labhil.signals import FloatArray
 
 NAME = "unmodelled_force"
@@ -33,7 +33,7 @@ class Coordinate:
 
     name: str
     unit: str
-    acts: Over
+    acts: CurveArgument
     part: MovedPart
 
     @property
@@ -42,22 +42,22 @@ class Coordinate:
         return self.part.turn if self.name == self.part.position else 0.0
 
     def beside(
-        self, effort: FloatArray, curve: FloatArray, coordinates: Mapping[str, FloatArray]
+        self, generalised_force: FloatArray, curve: FloatArray, coordinates: Mapping[str, FloatArray]
     ) -> FloatArray:
-        """A model's ``effort``, (N,) or (N, joints), with the force of values of the curve (N,)."""
+        """A model's ``generalised_force``, (N,) or (N, joints), with that of the curve's values (N,)."""
         velocity = coordinates[self.part.velocity]
         force = along_positive(self.acts, curve, velocity, np.sign(velocity))
         if self.part.joint is None:
-            return np.asarray(effort + force)
+            return np.asarray(generalised_force + force)
         # of an arm it is what the drives have to exert
-        whole = effort.copy()
+        whole = generalised_force.copy()
         whole[:, self.part.joint] -= force
         return whole
 
     def of(self, along: Mapping[str, FloatArray]) -> FloatArray:
         """Its values where a model's coordinates are ``along``, (N,)."""
         values = along[self.name]
-        if self.acts is Over.SPEED_AGAINST:
+        if self.acts is CurveArgument.SPEED_AGAINST:
             return np.abs(values)
         return np.mod(values, self.turn) if self.turn else values
 
@@ -83,7 +83,7 @@ class ExtendedModel:
     model's. ``size`` is a typical value of the curve.
     """
 
-    def __init__(self, inner: Yielding, coordinate: Coordinate, spline: Spline, size: float) -> None:
+    def __init__(self, inner: AcceptsExtraForce, coordinate: Coordinate, spline: Spline, size: float) -> None:
         self.inner = inner
         self.coordinate = coordinate
         self.spline = spline
@@ -91,19 +91,19 @@ class ExtendedModel:
         self.state_names = inner.state_names
         self.state_scale = inner.state_scale
         self.fixed = inner.fixed
-        self.never_seen = inner.never_seen
+        self.unobservable_terms = inner.unobservable_terms
         self.metric: Metric = inner.metric
-        self.forgets = inner.forgets
+        self.fading_memory = inner.fading_memory
         self.horizon = inner.horizon
         self.coordinate_units = inner.coordinate_units
         joint = coordinate.part.joint
         speed = unit_of(inner.coordinate_units, coordinate.part.velocity)
-        per = f"/({speed})" if coordinate.acts is Over.DAMPING else ""
+        per = f"/({speed})" if coordinate.acts is CurveArgument.DAMPING else ""
         self.coefficients = tuple(
             Parameter(f"{NAME}.coefficient_{k}", inner.force_unit + per, size, step=STEP, joint=joint)
             for k in range(spline.count)
         )
-        forward = coordinate.acts in (Over.TIME, Over.POSITION, Over.VELOCITY)
+        forward = coordinate.acts in (CurveArgument.TIME, CurveArgument.POSITION, CurveArgument.VELOCITY)
         direction = "" if forward else " against the motion"
         term = Term(
             NAME, Enters.FORCE, f"a force along {coordinate.name}{direction} that no named effect explains",
@@ -154,25 +154,25 @@ class ExtendedModel:
         """The inner model's."""
         return self.inner.driven(self.split(theta)[0], record, windows, along)
 
-    def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
+    def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """The inner model's force and the curve's, (N,)."""
         own, coefficients = self.split(theta)
-        effort = self.inner.effort(own, coordinates)
+        generalised_force = self.inner.generalised_force(own, coordinates)
         if self.coordinate.name not in coordinates:
-            return effort
+            return generalised_force
         curve = self.spline.design(self.coordinate.of(coordinates)) @ coefficients
-        return self.coordinate.beside(effort, curve, coordinates)
+        return self.coordinate.beside(generalised_force, curve, coordinates)
 
-    def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
+    def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
         """The inner model's."""
-        return self.inner.yardsticks(record)
+        return self.inner.characteristic_scales(record)
 
     def _under(self, coefficients: FloatArray, record: Record) -> Model:
         """The inner model under the force that these coefficients make of the record."""
         spline = self.spline
         grid = np.linspace(spline.low, spline.high, NODES)
         force = self.coordinate.force(grid, grid, RESOLVED * spline.narrowest)
-        if force.acts is Over.TIME:
+        if force.acts is CurveArgument.TIME:
             course = spline.design(self.coordinate.of_record(record)) @ coefficients
             return self.inner.with_force(replace(force, course=course))
         return self.inner.with_force(replace(force, values=spline.on(NODES) @ coefficients))

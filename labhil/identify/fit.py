@@ -15,9 +15,9 @@ from labhil.identify.adequacy import EXPLAINED_TO, Adequacy, adequacy_of
 from labhil.identify.estimators import DEFAULT, INTERRUPTED, search
 from labhil.identify.fitted import (
     Fitted,
-    climb,
     covariances,
     fit_briefly,
+    fit_by_continuation,
     fit_terms,
     free_of,
     settled,
@@ -31,7 +31,7 @@ from labhil.identify.sampling import moved_estimates, sampling_notes
 from labhil.identify.score import Score, score, with_forces
 from labhil.identify.shapes import beside_rivals, over_shapes
 from labhil.identify.table import ParameterTable, table_of, widened
-from labhil.identify.windows import fit_windows, noise_of, told_apart
+from labhil.identify.windows import fit_windows, noise_of, with_noise_scales
 from labhil.physics.model import Metric, Model, Record, terms_named
 from labhil.physics.rigs import by_inverse_dynamics
 from labhil.signals import FloatArray
@@ -150,8 +150,8 @@ def fit(
     the rig has no such criterion.
     """
     how = options or Options()
-    record = told_apart(model, record)
-    test = None if test is None else told_apart(model, test)
+    record = with_noise_scales(model, record)
+    test = None if test is None else with_noise_scales(model, test)
     begin = start_theta(model, start)
     if how.criterion is Metric.WINDOWED_SIMULATION and not model.state_names:
         raise UsageError(f"{model.kind} has no states to simulate; its criterion is {model.metric}")
@@ -206,7 +206,7 @@ def _ladder(model: Model, record: Record) -> list[float]:
     """Lengths of windows (s), short to long; to the whole record where the plant forgets how it began."""
     lengths = [share * WINDOW_IN_HORIZONS * model.horizon for share in LADDER]
     whole = record.longest
-    if model.forgets and whole > LONGER * lengths[-1]:
+    if model.fading_memory and whole > LONGER * lengths[-1]:
         lengths = [*lengths[1:], float(np.sqrt(lengths[-1] * whole)), whole]
     return lengths
 
@@ -233,7 +233,9 @@ def _climbed(
         rungs[0] = first = over_shapes(rungs[0])
         longer: list[Fitted] = []
         try:
-            climb(model, record, terms, lengths[1:], sigma, start=first.theta, fresh=(), reached=longer)
+            fit_by_continuation(
+                model, record, terms, lengths[1:], sigma, start=first.theta, fresh=(), reached=longer
+            )
         finally:
             rungs += longer
         how.progress("looking for lower minima on the longest trusted windows")
@@ -281,7 +283,7 @@ def _first_rung(
     """
     if how.estimator == "nlse":
         return fit_terms(model, record, terms, lengths[0], sigma, start=begin, new_terms=fresh)
-    windows = fit_windows(record, lengths[-1] if model.forgets else lengths[0])
+    windows = fit_windows(record, lengths[-1] if model.fading_memory else lengths[0])
     problem = Problem(model, record, windows, free_of(model, terms), begin, sigma)
     # widths are hardly known on short windows; they are scanned afterwards
     begun = partial(fit_terms, model, record, terms, lengths[0], sigma, shapes=False)

@@ -213,7 +213,7 @@ def covariances(fitted: Fitted) -> tuple[FloatArray, FloatArray, FloatArray]:
     return robust / np.outer(unit, unit), classical / np.outer(unit, unit), jacobian
 
 
-def climb(
+def fit_by_continuation(
     model: Model,
     record: Record,
     terms: Sequence[str],

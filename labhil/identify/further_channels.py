@@ -76,7 +76,9 @@ def _with_column(record: Record, signal: Signal) -> Record:
         output_names=(*record.output_names, signal.name),
         output_units=(*record.output_units, signal.unit),
         output_joints=(*record.output_joints, None) if record.output_joints else (),
-        begins=tuple(replace(b, loudness=(*b.loudness, 1.0) if b.loudness else ()) for b in record.begins),
+        begins=tuple(
+            replace(b, noise_scale=(*b.noise_scale, 1.0) if b.noise_scale else ()) for b in record.begins
+        ),
     )
 
 

@@ -13,12 +13,12 @@ import numpy as np
 from labhil.identify.problem import Linearised, Point, Problem
 from labhil.identify.window_states import (
     States,
+    evaluate,
     fit_states,
-    looked_anew,
-    polished,
+    reestimate,
+    refine,
     rescued_states,
     search_states,
-    tried,
 )
 from labhil.signals import FloatArray
 
@@ -77,9 +77,9 @@ def least_squares(
     # The measurement is a candidate too: a window that once was taken for a body at rest has no slope
     # by which it would ever move again.
     if settled:
-        begun = polished(problem, z, tried(problem, z, start.states), tried(problem, z, problem.guess))
+        begun = refine(problem, z, evaluate(problem, z, start.states), evaluate(problem, z, problem.guess))
     else:
-        begun = tried(problem, z, fit_states(problem, z, start.states))
+        begun = evaluate(problem, z, fit_states(problem, z, start.states))
     begun = rescued_states(problem, z, begun) if thorough else begun
     point, residuals = Point(z, begun.states), begun.residuals
     damping = DAMPING
@@ -136,7 +136,7 @@ def _deepened(problem: Problem, solution: Solution, same: float, random: np.rand
 
 def _rescued(problem: Problem, point: Point, residuals: FloatArray) -> tuple[Point, FloatArray, float] | None:
     """The same parameters with better states of some windows, or None when there are none."""
-    better = looked_anew(problem, point.z, States(point.states, residuals))
+    better = reestimate(problem, point.z, States(point.states, residuals))
     if better.cost < (1.0 - RESCUED) * float(residuals @ residuals):
         return Point(point.z, better.states), better.residuals, DAMPING
     return None
@@ -156,9 +156,9 @@ def _lower(
         trial, promised = _step(problem, point, lin, damping)
         if abs(promised) < tolerance * cost:
             return None
-        reached = tried(problem, trial.z, trial.states)
+        reached = evaluate(problem, trial.z, trial.states)
         if cost - reached.cost < WORTH * promised:
-            reached = polished(problem, trial.z, reached, tried(problem, trial.z, point.states))
+            reached = refine(problem, trial.z, reached, evaluate(problem, trial.z, point.states))
         if reached.cost < cost:
             return Point(trial.z, reached.states), reached.residuals, max(0.1 * damping, 1e-8)
         damping *= 8.0

@@ -60,7 +60,7 @@ def white(sigma: FloatArray) -> Noise:
     return Noise(sigma, np.zeros(len(sigma)))
 
 
-def lasting_noise(model: Model, theta: FloatArray, record: Record, sigma: FloatArray) -> Noise:
+def estimate_coloured_noise(model: Model, theta: FloatArray, record: Record, sigma: FloatArray) -> Noise:
     """Each channel's noise, its standard deviation at least ``sigma`` and at most 3 times that.
 
     ``theta`` is the model's fitted vector. Inverse dynamics has no windows: there it is the noise of what the

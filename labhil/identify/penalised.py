@@ -19,7 +19,7 @@ import numpy as np
 from labhil.identify.least_squares import RESCUED, Solution
 from labhil.identify.problem import Linearised, Point, Problem
 from labhil.identify.statistics import long_run_variance, modelled_variance
-from labhil.identify.window_states import States, looked_anew, polished, tried
+from labhil.identify.window_states import States, evaluate, reestimate, refine
 from labhil.signals import FloatArray, IntArray
 
 DAMPED, LEAST_DAMPED, MOST_DAMPED = 1e-3, 1e-8, 1e4
@@ -121,7 +121,7 @@ def minimise(problem: Problem, start: Point, penalty: FloatArray, iterations: in
         if found is not None:
             point, residuals, damping = found
         if cost - _cost(point.z, residuals, penalty) < TOLERANCE * cost:
-            better = looked_anew(problem, point.z, States(point.states, residuals))
+            better = reestimate(problem, point.z, States(point.states, residuals))
             if better.cost > (1.0 - RESCUED) * float(residuals @ residuals):
                 return Solution(point, residuals, iteration + 1, True)
             point, residuals, damping = Point(point.z, better.states), better.residuals, DAMPED
@@ -136,8 +136,8 @@ def _lower(
     cost = _cost(point.z, residuals, penalty)
     while damping < MOST_DAMPED:
         z = np.clip(near.solve(penalty, damping), problem.lower, problem.upper)
-        followed = tried(problem, z, _followed(problem, lin, point, residuals, z))
-        trial = polished(problem, z, tried(problem, z, point.states), followed)
+        followed = evaluate(problem, z, _followed(problem, lin, point, residuals, z))
+        trial = refine(problem, z, evaluate(problem, z, point.states), followed)
         if _cost(z, trial.residuals, penalty) < cost:
             return Point(z, trial.states), trial.residuals, max(0.1 * damping, LEAST_DAMPED)
         damping *= 10.0

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from labhil.ending import checkpoint
-from labhil.identify.rounding import telling_shares
+from labhil.identify.rounding import effective_fractions
 from labhil.identify.windows import noise_at
 from labhil.physics.model import UNREAD, Model, PartlyLinear, Record, Windows
 from labhil.signals import FloatArray, IntArray
@@ -90,9 +90,9 @@ class Problem:
         self._censored = None if record.censored is None else record.censored[windows.rows]
 
     @cached_property
-    def telling(self) -> FloatArray:
+    def effective_fraction(self) -> FloatArray:
         """Share of an independent sample that each residual (N·c,) is worth: rounding may repeat itself."""
-        return telling_shares(self.record, self.sigma)[self.windows.rows].ravel()
+        return effective_fractions(self.record, self.sigma)[self.windows.rows].ravel()
 
     def of_windows(self, chosen: IntArray) -> Problem:
         """The same problem on some of its windows only."""

@@ -59,7 +59,7 @@ class Rounding:
         return np.asarray(self.step * np.interp(places, np.arange(PLACES + 1.0), self.error))
 
 
-def telling_shares(record: Record, sigma: FloatArray) -> FloatArray:
+def effective_fractions(record: Record, sigma: FloatArray) -> FloatArray:
     """What share of an independent sample each of all readings is worth, (n, c), with noise ``sigma`` (c,).
 
     Of n readings of one place the error that lasts, a share s of the noise's variance, is the same: they are

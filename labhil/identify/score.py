@@ -10,9 +10,9 @@ import numpy as np
 from labhil.errors import RecordingError
 from labhil.identify.problem import Point, Problem
 from labhil.identify.rounding import Rounding
-from labhil.identify.window_states import held_at
+from labhil.identify.window_states import estimate_states_at
 from labhil.identify.windows import ScoredWindows, all_of, noise_at, scored_windows
-from labhil.physics.drive_balance import Balanced
+from labhil.physics.drive_balance import HasInverseDynamics
 from labhil.physics.model import Metric, Model, Record
 from labhil.signals import FloatArray, IntArray
 
@@ -155,7 +155,7 @@ def score(
     elif windows is None:
         windows = scored_windows(record, horizon or scored_horizon(model, theta, record))
     nothing = np.empty(0, dtype=np.int64)
-    states = held_at(model, theta, record, windows.lead, sigma).states
+    states = estimate_states_at(model, theta, record, windows.lead, sigma).states
     whole = Problem(model, record, windows.whole, nothing, theta, sigma)
     residuals = whole.residuals(Point(np.empty(0), states))
     c = record.outputs.shape[1]
@@ -180,7 +180,7 @@ def score(
 
 def with_forces(found: Score, model: Model, theta: FloatArray, record: Record, sigma: FloatArray) -> Score:
     """The same score with inverse dynamics beside it, where the model can say what its drive had to push."""
-    if not isinstance(model, Balanced):
+    if not isinstance(model, HasInverseDynamics):
         return found
     try:
         forces = model.balance(theta, record)

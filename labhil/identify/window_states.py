@@ -66,12 +66,12 @@ class States:
         )
 
 
-def tried(problem: Problem, z: FloatArray, states: FloatArray) -> States:
+def evaluate(problem: Problem, z: FloatArray, states: FloatArray) -> States:
     """These states with what they leave."""
     return States(states, problem.residuals(Point(z, states)))
 
 
-def polished(problem: Problem, z: FloatArray, first: States, second: States) -> States:
+def refine(problem: Problem, z: FloatArray, first: States, second: States) -> States:
     """Begin each window at the better of both states, and improve it by itself."""
     if not problem.model.state_names:
         return first
@@ -82,12 +82,12 @@ def search_states(
     problem: Problem, z: FloatArray, states: FloatArray, random: np.random.Generator, trials: int = TRIALS
 ) -> FloatArray:
     """Every window's best initial state among many local minima near it, (W, S); parameters held."""
-    best = tried(problem, z, states)
+    best = evaluate(problem, z, states)
     for k in range(trials if states.shape[1] else 0):
         centre = problem.guess if k % 2 else best.states
         reach = (FAR if k % 3 == 0 else NEAR) * problem.model.state_scale
         begin = centre + random.standard_normal(states.shape) * reach
-        best = best.or_better(problem, _damped_states(problem, z, tried(problem, z, begin), 4))
+        best = best.or_better(problem, _damped_states(problem, z, evaluate(problem, z, begin), 4))
     return best.states
 
 
@@ -99,9 +99,9 @@ def fit_states(problem: Problem, z: FloatArray, states: FloatArray, *, iteration
     """
     if not states.shape[1]:
         return states
-    free = _damped_states(problem, z, tried(problem, z, states), iterations)
+    free = _damped_states(problem, z, evaluate(problem, z, states), iterations)
     moving = _velocities(problem)
-    resting = tried(problem, z, np.where(moving, 0.0, states))
+    resting = evaluate(problem, z, np.where(moving, 0.0, states))
     at_rest = _damped_states(problem, z, resting, iterations, ~moving)
     allowance = np.sum(moving) * np.log(_rows_of_windows(problem))
     rest = at_rest.costs(problem) <= free.costs(problem) + allowance
@@ -153,7 +153,7 @@ def _from_other_velocities(problem: Problem, z: FloatArray, found: States, which
     best = _of_windows(problem, found, which)
     for offset in OTHER_VELOCITIES:
         begin = part.guess + offset * problem.model.state_scale * moving
-        best = best.or_better(part, _damped_states(part, z, tried(part, z, begin), 6))
+        best = best.or_better(part, _damped_states(part, z, evaluate(part, z, begin), 6))
     return _with_windows(problem, found, which, best)
 
 
@@ -169,7 +169,7 @@ def _with_windows(problem: Problem, found: States, which: IntArray, other: State
     return States(states, residuals)
 
 
-def held_at(
+def estimate_states_at(
     model: Model,
     theta: FloatArray,
     record: Record,
@@ -183,15 +183,15 @@ def held_at(
     A ``thorough`` search looks again at windows that leave more than noise, all of them if need be.
     """
     problem = Problem(model, record, windows, np.empty(0, dtype=np.int64), theta, sigma)
-    return settled_states(problem, np.empty(0), thorough=thorough)
+    return estimate_states(problem, np.empty(0), thorough=thorough)
 
 
-def settled_states(problem: Problem, z: FloatArray, *, thorough: bool = True) -> States:
+def estimate_states(problem: Problem, z: FloatArray, *, thorough: bool = True) -> States:
     """Every window's best initial state from its guess on, with the parameters held.
 
-    ``thorough`` as in :func:`held_at`.
+    ``thorough`` as in :func:`estimate_states_at`.
     """
-    found = _turned(problem, z, tried(problem, z, fit_states(problem, z, problem.guess)))
+    found = _turned(problem, z, evaluate(problem, z, fit_states(problem, z, problem.guess)))
     found = rescued_states(problem, z, found)
     return _searched(problem, z, found) if thorough and problem.model.state_names else found
 
@@ -218,12 +218,12 @@ def _shifted(
     problem: Problem, z: FloatArray, states: FloatArray, shifts: FloatArray, which: np.ndarray
 ) -> States:
     """States (W, S) with ``which`` (S,) of them further by the shift that is best for its recording."""
-    costs = [tried(problem, z, states + shift * which).costs(problem) for shift in shifts]
+    costs = [evaluate(problem, z, states + shift * which).costs(problem) for shift in shifts]
     rows = [begin.row for begin in problem.record.begins]
     recording = np.searchsorted(rows, problem.windows.first, side="right") - 1
     of_recordings = np.array([np.bincount(recording, each, len(rows)) for each in costs])
     best = shifts[np.argmin(of_recordings, axis=0)][recording]
-    return tried(problem, z, states + best[:, None] * which)
+    return evaluate(problem, z, states + best[:, None] * which)
 
 
 def _searched(problem: Problem, z: FloatArray, found: States) -> States:
@@ -235,7 +235,7 @@ def _searched(problem: Problem, z: FloatArray, found: States) -> States:
         return found
     part = problem.of_windows(bad)
     states = search_states(part, z, found.states[bad], np.random.default_rng(0))
-    return _with_windows(problem, found, bad, tried(part, z, states))
+    return _with_windows(problem, found, bad, evaluate(part, z, states))
 
 
 def _grown(problem: Problem, z: FloatArray, found: States, which: IntArray) -> States:
@@ -243,12 +243,12 @@ def _grown(problem: Problem, z: FloatArray, found: States, which: IntArray) -> S
     if not len(which):
         return found
     part = problem.of_windows(which)
-    grown = tried(part, z, grow_states(part, z, FIRST_GROWN * problem.model.horizon))
+    grown = evaluate(part, z, grow_states(part, z, FIRST_GROWN * problem.model.horizon))
     best = _of_windows(problem, found, which).or_better(part, grown)
     return _with_windows(problem, found, which, best)
 
 
-def looked_anew(problem: Problem, z: FloatArray, found: States) -> States:
+def reestimate(problem: Problem, z: FloatArray, found: States) -> States:
     """The better of what was found and what windows find from their guess on, the parameters held.
 
     Steps of the parameters may have led windows into wrong valleys, even most of them. The few that still
@@ -256,7 +256,7 @@ def looked_anew(problem: Problem, z: FloatArray, found: States) -> States:
     """
     if not problem.model.state_names:
         return found
-    found = found.or_better(problem, settled_states(problem, z, thorough=False))
+    found = found.or_better(problem, estimate_states(problem, z, thorough=False))
     few = 2 * len(_noisy(problem, found)) < len(found.states)
     return _searched(problem, z, found) if few else found
 
@@ -278,7 +278,7 @@ def _damped_states(
         gram = problem.state_gram(slopes, damping)
         pull = problem.per_window(slopes * found.residuals[:, None])
         step = np.linalg.solve(gram, pull[:, :, None])[:, :, 0] * which
-        trial = tried(problem, z, found.states - step * problem.model.state_scale)
+        trial = evaluate(problem, z, found.states - step * problem.model.state_scale)
         trial_cost = trial.costs(problem)
         better = trial_cost < cost
         found = found.chosen(problem, better, trial)

@@ -216,7 +216,7 @@ def _third_differences(record: Record) -> tuple[IntArray, Callable[[FloatArray],
     return rows, lambda column: np.asarray(np.sum(weights * column[rows], axis=1))
 
 
-def told_apart(model: Model, record: Record) -> Record:
+def with_noise_scales(model: Model, record: Record) -> Record:
     """Several recordings with what is known of the noise of each, so that a loud one says less; one as it is.
 
     What a filter leaves of the noise, as of inverse dynamics, is not read from differences.
@@ -226,15 +226,15 @@ def told_apart(model: Model, record: Record) -> Record:
     whole = noise_of(record)
     own = [tuple((noise_of(each) / whole).tolist()) for each in record.recordings()]
     return replace(
-        record, begins=tuple(replace(b, loudness=x) for b, x in zip(record.begins, own, strict=True))
+        record, begins=tuple(replace(b, noise_scale=x) for b, x in zip(record.begins, own, strict=True))
     )
 
 
 def noise_at(record: Record, rows: IntArray, sigma: FloatArray) -> FloatArray:
     """Noise of the channels at some rows of a record, (N, channels), or ``sigma`` itself where it is one."""
-    if not any(begin.loudness for begin in record.begins):
+    if not any(begin.noise_scale for begin in record.begins):
         return sigma
-    each = np.array([sigma * (begin.loudness or 1.0) for begin in record.begins])
+    each = np.array([sigma * (begin.noise_scale or 1.0) for begin in record.begins])
     return np.asarray(each[np.searchsorted([b.row for b in record.begins], rows, side="right") - 1])
 
 

@@ -20,7 +20,7 @@ from labhil.physics.friction_terms import friction_terms, load_dependent_frictio
 from labhil.physics.guesses import straight_starts, yardsticks_of
 from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.path_terms import input_terms, output_terms
-from labhil.physics.terms import TWO_WAVES, Enters, Parameter, Term, Yardstick
+from labhil.physics.terms import TWO_WAVES, CharacteristicScale, Enters, Parameter, Term
 from labhil.physics.values import Values, horizon_of, known_numbers, near
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
@@ -162,7 +162,7 @@ class AxisModel:
         "drive_voltage": "V",
     }
     metric = Metric.WINDOWED_SIMULATION
-    forgets = False
+    fading_memory = False
     state_names = ("position", "axis_velocity")
     force_unit = "N"
     moved = (MovedPart("position", "axis_velocity"),)
@@ -179,7 +179,7 @@ class AxisModel:
             for k, t in everything.items()
             if set(t.needs) <= there and (k != "added_inertia" or "moving_mass" in self.fixed)
         }
-        self.never_seen: Mapping[str, str] = {
+        self.unobservable_terms: Mapping[str, str] = {
             "sensor_offset": "a constant offset of position is taken up by each window's own initial state"
         } | {k: f"needs {', '.join(t.needs)}" for k, t in everything.items() if not set(t.needs) <= there}
         own = {"moving_mass": ("kg", self.sizes.mass)}
@@ -241,7 +241,7 @@ class AxisModel:
         """What acts of the input behind the way in."""
         return {"acting_drive": self._path.at_samples(record, windows, lambda n: self._values.of(theta, n))}
 
-    def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
+    def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """Force on the moving mass at these coordinates, N; zero where it rests."""
         x, v = coordinates["position"], coordinates["axis_velocity"]
         u = coordinates["acting_drive"]
@@ -265,7 +265,7 @@ class AxisModel:
     def needed(self, theta: FloatArray, record: Record, motion: DriveMotion) -> FloatArray:
         """Force of the drive in N that a motion takes, M·ẍ + friction − all other forces, (n,)."""
         idle = {"position": motion.x, "axis_velocity": motion.v, "acting_drive": np.zeros_like(motion.x)}
-        force = self._mass(theta) * motion.a - self.effort(theta, idle)
+        force = self._mass(theta) * motion.a - self.generalised_force(theta, idle)
         if np.any(change := self._warming(theta, record) - 1.0):
             drag = self._values.of(theta, "viscous_friction.coefficient")
             force += drag * np.interp(motion.t, record.t, change) * motion.v
@@ -277,7 +277,7 @@ class AxisModel:
         """Force per unit of the recorded drive, N/V; 1 where the force itself is recorded."""
         return self._values.of(theta, "drive_gain") if self.volts else 1.0
 
-    def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
+    def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
         """What starts are fractions of, from this recording."""
         return yardsticks_of(record, self.sizes.force, self.sizes.speed)
 

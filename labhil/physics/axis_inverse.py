@@ -16,7 +16,7 @@ from labhil.physics.axis import AxisModel
 from labhil.physics.drive_balance import DriveMotion
 from labhil.physics.driven import effective
 from labhil.physics.model import Metric, Record, Windows
-from labhil.physics.terms import Enters, Term, Yardstick
+from labhil.physics.terms import CharacteristicScale, Enters, Term
 from labhil.signals import FloatArray, Hold
 
 AT_REST = ("static_friction",)
@@ -41,7 +41,7 @@ class AxisInverse:
     metric = Metric.INVERSE_DYNAMICS
     state_names: tuple[str, ...] = ()
     state_scale = np.empty(0)
-    forgets = True
+    fading_memory = True
 
     def __init__(self, inner: AxisModel) -> None:
         self.inner = inner
@@ -55,7 +55,7 @@ class AxisInverse:
             if term.enters is Enters.FORCE and key not in AT_REST
         }
         hidden = {key: UNSEEN for key in inner.terms if key not in self.terms}
-        self.never_seen: Mapping[str, str] = {**inner.never_seen, **hidden}
+        self.unobservable_terms: Mapping[str, str] = {**inner.unobservable_terms, **hidden}
 
     def horizon_at(self, theta: FloatArray) -> float:
         """The inner model's, s."""
@@ -106,10 +106,12 @@ class AxisInverse:
         """The recorded drive, whatever the motion."""
         return {"acting_drive": record.outputs[windows.rows, 0]}
 
-    def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
+    def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """The inner model's force on the moving mass, N."""
-        return self.inner.effort(theta, coordinates)
+        return self.inner.generalised_force(theta, coordinates)
 
-    def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
+    def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
         """The inner model's, of the record as it was measured."""
-        return self.inner.yardsticks(record.whole or record if isinstance(record, ForceRecord) else record)
+        return self.inner.characteristic_scales(
+            record.whole or record if isinstance(record, ForceRecord) else record
+        )

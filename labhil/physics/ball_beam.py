@@ -19,7 +19,7 @@ from labhil.physics.guesses import straight_starts
 from labhil.physics.measured_input import without_noise
 from labhil.physics.model import Metric, Record, Windows, index_of, start_values
 from labhil.physics.path_terms import input_terms, offset_term, output_terms
-from labhil.physics.terms import Enters, Parameter, Term, Yardstick
+from labhil.physics.terms import CharacteristicScale, Enters, Parameter, Term
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
 
@@ -125,8 +125,8 @@ class BallBeamModel:
     _extra: ExtraForce | None = None
     state_scale = np.array([0.01, 0.05])
     metric = Metric.WINDOWED_SIMULATION
-    forgets = False
-    never_seen: Mapping[str, str] = {}
+    fading_memory = False
+    unobservable_terms: Mapping[str, str] = {}
 
     def __init__(self, rig: RigFile, record: Record | None = None) -> None:
         self.linkage = record is None or record.input_names[0] == "servo_angle"
@@ -198,25 +198,28 @@ class BallBeamModel:
         rate = np.gradient(np.arcsin(np.clip(sine, -1.0, 1.0)), record.t)
         return {"beam_sine": sine[windows.rows], "beam_rate": rate[windows.rows]}
 
-    def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
+    def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """Acceleration of the ball times its effective mass, N (m/s² per unit of mass)."""
         k = self._kernel(theta)
         x, v = coordinates["ball_position"], coordinates["ball_velocity"]
         a = efforts(x, v, coordinates["beam_sine"], coordinates["beam_rate"], k)
         return np.asarray(a) * self._effective_mass(theta)
 
-    def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
+    def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
         """What starts are fractions of, from this recording."""
         u, t = record.inputs[:, 0], record.t
         largest = float(np.abs(u).max()) or 1.0
         speed = np.diff(record.outputs[:: self._stride(record), 0]) / np.diff(t[:: self._stride(record)])
         ratio = self._ratio(start_values(self.parameters)) if self.linkage else 1.0
         return {
-            Yardstick.UNIT: 1.0,
-            Yardstick.INPUT: largest,
-            Yardstick.INPUT_RATE: float(np.quantile(np.abs(np.gradient(u, t)), 0.98)) or 1.0,
-            Yardstick.DRIVE: GRAVITY * self.fixed.get("ball_mass", 0.5) * ratio * np.sin(min(largest, 1.5)),
-            Yardstick.SPEED: float(np.sqrt(np.mean(speed**2))) or SPEED,
+            CharacteristicScale.UNIT: 1.0,
+            CharacteristicScale.INPUT: largest,
+            CharacteristicScale.INPUT_RATE: float(np.quantile(np.abs(np.gradient(u, t)), 0.98)) or 1.0,
+            CharacteristicScale.DRIVE: GRAVITY
+            * self.fixed.get("ball_mass", 0.5)
+            * ratio
+            * np.sin(min(largest, 1.5)),
+            CharacteristicScale.SPEED: float(np.sqrt(np.mean(speed**2))) or SPEED,
         }
 
     @staticmethod

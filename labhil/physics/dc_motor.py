@@ -19,7 +19,7 @@ from labhil.physics.driven import DrivenPath
 from labhil.physics.extra_force import ExtraForce, MovedPart
 from labhil.physics.guesses import yardsticks_of
 from labhil.physics.model import Metric, Record, Windows
-from labhil.physics.terms import Term, Yardstick
+from labhil.physics.terms import CharacteristicScale, Term
 from labhil.physics.values import Values, horizon_of, known_numbers, near
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
@@ -54,7 +54,7 @@ class DcMotorModel:
         "voltage_rate": "V/s",
     }
     metric = Metric.WINDOWED_SIMULATION
-    forgets = True
+    fading_memory = True
     state_names: tuple[str, ...] = ("shaft_velocity", "current")
     force_unit = "N·m"
     _extra: ExtraForce | None = None
@@ -66,7 +66,7 @@ class DcMotorModel:
         self.fixed = known_numbers(rig)
         everything = catalogue(self.sizes, self.outputs, "inertia" in self.fixed)
         self.terms: Mapping[str, Term] = {k: t for k, t in everything.items() if set(t.needs) <= there}
-        self.never_seen: Mapping[str, str] = {
+        self.unobservable_terms: Mapping[str, str] = {
             k: f"needs {', '.join(t.needs)}" for k, t in everything.items() if k not in self.terms
         }
         own = tuple(p for n, p in own_parameters(self.sizes).items() if n not in self.fixed)
@@ -177,14 +177,14 @@ class DcMotorModel:
         across = np.clip(along["current"] / (BRUSH_WIDTH * self.sizes.current), -1.0, 1.0)
         return {"acting_voltage": u - warm * along["current"] - brushes * across}
 
-    def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
+    def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """Torque on the rotor at these coordinates, N·m; zero where it rests."""
         i, angle, w = (coordinates[name] for name in ("current", "shaft_angle", "shaft_velocity"))
         inertia = self._inertia(theta)
         law = self._values.friction_law(theta, inertia)
         return np.asarray(winding.accelerations(i, angle, w, self._motor(theta), law) * inertia)
 
-    def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
+    def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
         """What starts are fractions of, from this recording."""
         return yardsticks_of(record, self.sizes.torque, self.sizes.speed)
 

@@ -109,7 +109,7 @@ class Balance:
 
 
 @runtime_checkable
-class Balanced(Protocol):
+class HasInverseDynamics(Protocol):
     """A model that can say what its drive had to push."""
 
     def balance(self, theta: FloatArray, record: Record) -> Balance:

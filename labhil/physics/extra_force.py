@@ -21,7 +21,7 @@ from labhil.physics.moving_part import TINY, Course, Follows, Laws, Motion, Part
 from labhil.signals import FloatArray
 
 
-class Over(IntEnum):
+class CurveArgument(IntEnum):
     """What a curve is a function of, and which way it acts."""
 
     TIME = 0
@@ -38,14 +38,16 @@ class Over(IntEnum):
     """A curve over position times the velocity, against the motion."""
 
 
-def along_positive(acts: Over, curve: FloatArray, velocity: FloatArray, direction: FloatArray) -> FloatArray:
+def along_positive(
+    acts: CurveArgument, curve: FloatArray, velocity: FloatArray, direction: FloatArray
+) -> FloatArray:
     """The force along the positive direction of values of a curve (N,), at velocities (N,).
 
     ``direction`` (N,) is the one that dry friction acts against: sgn of the velocity, or bristles'.
     """
-    if acts in (Over.POSITION_AGAINST, Over.SPEED_AGAINST):
+    if acts in (CurveArgument.POSITION_AGAINST, CurveArgument.SPEED_AGAINST):
         return np.asarray(-curve * direction)
-    return np.asarray(-curve * velocity) if acts is Over.DAMPING else curve
+    return np.asarray(-curve * velocity) if acts is CurveArgument.DAMPING else curve
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +67,7 @@ class MovedPart:
     speed: float = 1.0
 
 
-class Beyond(NamedTuple):
+class CompiledForce(NamedTuple):
     """A force over the inertia as a kernel holds it.
 
     ``values`` are those of the curve at ``low`` and every 1/``per_unit`` further on, straight in between and
@@ -92,7 +94,7 @@ class ExtraForce:
     model has several parts it acts on that of the ``joint``, and ``of`` names the coordinate of the curve.
     """
 
-    acts: Over
+    acts: CurveArgument
     grid: FloatArray
     values: FloatArray
     width: float
@@ -101,18 +103,18 @@ class ExtraForce:
     of: str = ""
     joint: int | None = None
 
-    def over(self, inertia: float, record: Record) -> tuple[Beyond, FloatArray]:
+    def over(self, inertia: float, record: Record) -> tuple[CompiledForce, FloatArray]:
         """As a kernel takes it: the curve, and the course (n,) along a record, both over the inertia."""
         per_unit = (len(self.grid) - 1) / float(self.grid[-1] - self.grid[0])
         values = np.ascontiguousarray(self.values / inertia)
         low = float(self.grid[0])
-        beyond = Beyond(int(self.acts), low, per_unit, self.turn, self.width, values, 0.0)
+        beyond = CompiledForce(int(self.acts), low, per_unit, self.turn, self.width, values, 0.0)
         along = np.zeros(len(record)) if self.course is None else self.course / inertia
         return beyond, np.ascontiguousarray(along)
 
 
 @runtime_checkable
-class Yielding(Model, Protocol):
+class AcceptsExtraForce(Model, Protocol):
     """A model that takes one more force."""
 
     @property
@@ -125,7 +127,7 @@ class Yielding(Model, Protocol):
         """What that force may act on: the one part that moves, or every joint."""
         ...
 
-    def with_force(self, force: ExtraForce) -> Yielding:
+    def with_force(self, force: ExtraForce) -> AcceptsExtraForce:
         """The same model under one more force; this one stays as it is.
 
         A model of several parts may be under several; the force on a single part takes the place of another.
@@ -134,20 +136,20 @@ class Yielding(Model, Protocol):
 
 
 @runtime_checkable
-class Unplaced(Yielding, Protocol):
+class PositionUnobserved(AcceptsExtraForce, Protocol):
     """A model of which recordings may not tell where its part stands.
 
     Under a force that depends on that, each window may find it out from what it shows.
     """
 
-    def placed(self) -> Yielding:
+    def placed(self) -> AcceptsExtraForce:
         """The same with the place as one more state of every window; itself where recordings tell it."""
         ...
 
 
-def placed(model: Yielding, over: Collection[str]) -> Yielding:
+def placed(model: AcceptsExtraForce, over: Collection[str]) -> AcceptsExtraForce:
     """The model as it takes forces ``over`` these coordinates: it has to know its place for some."""
-    if not isinstance(model, Unplaced):
+    if not isinstance(model, PositionUnobserved):
         return model
     other = model.placed()
     unseen = {part.position for part in other.moved} - {part.position for part in model.moved}
@@ -162,7 +164,7 @@ class Pushed(NamedTuple, Generic[P]):
     """A part between two samples, and the force beside it."""
 
     part: P
-    beyond: Beyond
+    beyond: CompiledForce
 
 
 class PushedCourse(NamedTuple, Generic[C]):
@@ -173,7 +175,7 @@ class PushedCourse(NamedTuple, Generic[C]):
 
 
 @inlined
-def looked_up(x: float, b: Beyond) -> float:
+def looked_up(x: float, b: CompiledForce) -> float:
     """The curve at ``x``: straight between its nodes, constant outside."""
     if b.turn > 0.0:
         x = b.low + (x - b.low) % b.turn
@@ -189,7 +191,7 @@ def looked_up(x: float, b: Beyond) -> float:
 
 
 @inlined
-def pushes(s: Motion, b: Beyond) -> float:
+def pushes(s: Motion, b: CompiledForce) -> float:
     """What acts along the positive direction, over the inertia."""
     if b.over == 1:
         return looked_up(s.x, b)
@@ -199,7 +201,7 @@ def pushes(s: Motion, b: Beyond) -> float:
 
 
 @inlined
-def rubs(s: Motion, b: Beyond) -> float:
+def rubs(s: Motion, b: CompiledForce) -> float:
     """What acts against the motion, over the inertia."""
     if b.over == 2:
         return looked_up(s.x, b)
@@ -253,7 +255,7 @@ def with_extra(laws: Laws[Part, Course]) -> Laws[Pushed[Part], PushedCourse[Cour
     @specialised
     def between(p: Pushed[Part], c: PushedCourse[Course], k: int) -> Pushed[Part]:
         b = p.beyond
-        here = Beyond(b.over, b.low, b.per_unit, b.turn, b.width, b.values, c.along[k])
+        here = CompiledForce(b.over, b.low, b.per_unit, b.turn, b.width, b.values, c.along[k])
         return Pushed(at(p.part, c.course, k), here)
 
     return Laws(pulled, aimed, following, at_rest, gripped, paced, damped, between)

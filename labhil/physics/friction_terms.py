@@ -7,7 +7,7 @@ the hold at rest beyond both.
 
 from __future__ import annotations
 
-from labhil.physics.terms import Enters, Parameter, Term, Yardstick
+from labhil.physics.terms import CharacteristicScale, Enters, Parameter, Term
 
 SOURCE = "eq. 4.17 of the reference text, its Stribeck exponent with the minus sign"
 
@@ -50,7 +50,11 @@ def friction_terms(force: str, length: str, level: float, speed: float) -> tuple
             "F = F_c·sgn v",
             SOURCE,
             "motion in both directions, reversals",
-            (Parameter("coulomb_friction.level", force, level, 0.0, starts=(0.2,), of=Yardstick.DRIVE),),
+            (
+                Parameter(
+                    "coulomb_friction.level", force, level, 0.0, starts=(0.2,), of=CharacteristicScale.DRIVE
+                ),
+            ),
         ),
         Term(
             "static_friction",
@@ -67,7 +71,7 @@ def friction_terms(force: str, length: str, level: float, speed: float) -> tuple
                     level,
                     0.0,
                     starts=(0.1,),
-                    of=Yardstick.DRIVE,
+                    of=CharacteristicScale.DRIVE,
                     step=0.05,
                     in_steps=True,
                 ),
@@ -88,7 +92,7 @@ def friction_terms(force: str, length: str, level: float, speed: float) -> tuple
                     -10.0 * level,
                     10.0 * level,
                     starts=(0.1,),
-                    of=Yardstick.DRIVE,
+                    of=CharacteristicScale.DRIVE,
                 ),
                 Parameter(
                     "stribeck_friction.velocity",
@@ -97,7 +101,7 @@ def friction_terms(force: str, length: str, level: float, speed: float) -> tuple
                     5e-4 * speed,
                     10.0 * speed,
                     starts=(0.2, 0.05, 0.8),
-                    of=Yardstick.SPEED,
+                    of=CharacteristicScale.SPEED,
                     shape=True,
                 ),
             ),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from labhil.physics.model import Record, Windows
-from labhil.physics.terms import Yardstick
+from labhil.physics.terms import CharacteristicScale
 from labhil.signals import FloatArray
 
 
@@ -24,14 +24,14 @@ def straight_starts(record: Record, windows: Windows, span: float) -> FloatArray
     return states
 
 
-def yardsticks_of(record: Record, drive: float, speed: float) -> dict[Yardstick, float]:
+def yardsticks_of(record: Record, drive: float, speed: float) -> dict[CharacteristicScale, float]:
     """What starts are fractions of: the first input's size and rate, beside a typical drive and speed."""
     u = record.inputs[:, 0]
     rates = np.abs(np.diff(u)) / np.diff(record.t)
     return {
-        Yardstick.UNIT: 1.0,
-        Yardstick.INPUT: float(np.abs(u).max()) or 1.0,
-        Yardstick.INPUT_RATE: float(np.quantile(rates, 0.98)) or 1.0,
-        Yardstick.DRIVE: drive,
-        Yardstick.SPEED: speed,
+        CharacteristicScale.UNIT: 1.0,
+        CharacteristicScale.INPUT: float(np.abs(u).max()) or 1.0,
+        CharacteristicScale.INPUT_RATE: float(np.quantile(rates, 0.98)) or 1.0,
+        CharacteristicScale.DRIVE: drive,
+        CharacteristicScale.SPEED: speed,
     }

@@ -10,7 +10,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from labhil.errors import RecordingError, UnknownNameError, UsageError
-from labhil.physics.terms import Parameter, Term, Yardstick
+from labhil.physics.terms import CharacteristicScale, Parameter, Term
 from labhil.recording.clock_faults import ClockFault
 from labhil.signals import FloatArray, Hold, IntArray
 
@@ -32,14 +32,14 @@ class Begin:
     """Where one of the recordings of a record begins.
 
     Its first sample is ``row``; its ``number`` counts from 1; its own time is the record's less ``shift`` s.
-    ``loudness`` (channels,) is the noise of its outputs over that of the record, where it was looked at;
+    ``noise_scale`` (channels,) is the noise of its outputs over that of the record, where it was looked at;
     ``clock_faults`` are what is wrong with the stamps of its samples.
     """
 
     row: int = 0
     number: int = 1
     shift: float = 0.0
-    loudness: tuple[float, ...] = ()
+    noise_scale: tuple[float, ...] = ()
     clock_faults: tuple[ClockFault, ...] = ()
 
 
@@ -299,7 +299,7 @@ class Model(Protocol):
         ...
 
     @property
-    def never_seen(self) -> Mapping[str, str]:
+    def unobservable_terms(self) -> Mapping[str, str]:
         """Terms that no recording of this rig can show, with the reason."""
         ...
 
@@ -309,7 +309,7 @@ class Model(Protocol):
         ...
 
     @property
-    def forgets(self) -> bool:
+    def fading_memory(self) -> bool:
         """Whether its state forgets how it began: windows may then be as long as the recording."""
         ...
 
@@ -355,11 +355,11 @@ class Model(Protocol):
         """
         ...
 
-    def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
+    def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """Generalised force (or acceleration) that the model exerts there, (N,) or (N, joints)."""
         ...
 
-    def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
+    def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
         """What the starts of parameters are fractions of, in this record."""
         ...
 
@@ -390,7 +390,7 @@ def start_values(parameters: Sequence[Parameter]) -> FloatArray:
 
 def starts_of(model: Model, terms: Sequence[Term], record: Record) -> list[dict[str, float]]:
     """Sets of values from which a fit of these terms may begin, the first with every level at zero."""
-    measure = model.yardsticks(record)
+    measure = model.characteristic_scales(record)
     parameters = [p for term in terms for p in term.parameters]
     begun = {p.key: tuple(s * measure[p.of] ** p.power for s in p.starts) for p in parameters}
     neutral = {p.key: begun[p.key][0] if p.shape and begun[p.key] else p.neutral for p in parameters}
@@ -412,8 +412,8 @@ def terms_named(model: Model, names: Sequence[str]) -> tuple[Term, ...]:
     keys: list[str] = []
     for name in names:
         if name not in model.terms and name not in by_name:
-            if name in model.never_seen:
-                raise UsageError(f"{name}: this recording cannot show it: {model.never_seen[name]}")
+            if name in model.unobservable_terms:
+                raise UsageError(f"{name}: this recording cannot show it: {model.unobservable_terms[name]}")
             raise UnknownNameError(f"term of {model.kind}", name, by_name)
         keys += [name] if name in model.terms else by_name[name]
     return tuple(model.terms[key] for key in dict.fromkeys(keys))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from labhil.physics.terms import Enters, Parameter, Term, Yardstick
+from labhil.physics.terms import CharacteristicScale, Enters, Parameter, Term
 
 
 def input_terms(unit: str) -> tuple[Term, ...]:
@@ -25,8 +25,8 @@ def input_terms(unit: str) -> tuple[Term, ...]:
             "eq. 4.18 of the reference text",
             "passages of the command through zero",
             (
-                Parameter("dead_zone.left", unit, 0.1, 0.0, starts=(0.07,), of=Yardstick.INPUT),
-                Parameter("dead_zone.right", unit, 0.1, 0.0, starts=(0.07,), of=Yardstick.INPUT),
+                Parameter("dead_zone.left", unit, 0.1, 0.0, starts=(0.07,), of=CharacteristicScale.INPUT),
+                Parameter("dead_zone.right", unit, 0.1, 0.0, starts=(0.07,), of=CharacteristicScale.INPUT),
             ),
         ),
         Term(
@@ -36,7 +36,7 @@ def input_terms(unit: str) -> tuple[Term, ...]:
             "u_eff = play operator of width gap",
             "Prandtl's play",
             "reversals of the command at different amplitudes",
-            (Parameter("backlash.gap", unit, 0.1, 0.0, starts=(0.1, 0.3), of=Yardstick.INPUT),),
+            (Parameter("backlash.gap", unit, 0.1, 0.0, starts=(0.1, 0.3), of=CharacteristicScale.INPUT),),
         ),
         Term(
             "saturation",
@@ -52,7 +52,7 @@ def input_terms(unit: str) -> tuple[Term, ...]:
                     1.0,
                     0.0,
                     starts=(1.2, 1.7),
-                    of=Yardstick.INPUT,
+                    of=CharacteristicScale.INPUT,
                     power=-1,
                 ),
             ),
@@ -71,7 +71,7 @@ def input_terms(unit: str) -> tuple[Term, ...]:
                     1.0,
                     0.0,
                     starts=(1.2, 2.0),
-                    of=Yardstick.INPUT_RATE,
+                    of=CharacteristicScale.INPUT_RATE,
                     power=-1,
                 ),
             ),

@@ -15,7 +15,7 @@ import numpy as np
 
 from labhil.errors import UsageError
 from labhil.physics.model import Metric, Record, Windows, index_of
-from labhil.physics.terms import Parameter, Term, Yardstick
+from labhil.physics.terms import CharacteristicScale, Parameter, Term
 from labhil.rig import RigFile
 from labhil.signals import FloatArray, Hold
 
@@ -35,7 +35,7 @@ class RightHandSide:
     ``states`` maps their names to typical errors of a guess; names that end in ``_velocity`` are zero at
     rest. ``parameters`` are the rig's own, ``terms`` what may be added, neutral at zero. Between samples
     the equation is stepped ``substeps`` times (classical Runge-Kutta), so f should be
-    smooth there. ``forgets`` says that the state forgets how it began.
+    smooth there. ``fading_memory`` says that the state forgets how it began.
     """
 
     states: Mapping[str, float]
@@ -48,8 +48,8 @@ class RightHandSide:
     baseline: tuple[str, ...] = ()
     general: tuple[str, ...] = ()
     substeps: int = 1
-    forgets: bool = False
-    never_seen: Mapping[str, str] = field(default_factory=dict)
+    fading_memory: bool = False
+    unobservable_terms: Mapping[str, str] = field(default_factory=dict)
 
     def __call__(self, rig: RigFile, record: Record | None = None) -> RightHandSideModel:
         """The model of one rig."""
@@ -63,14 +63,14 @@ class RightHandSideModel:
 
     def __init__(self, stated: RightHandSide, rig: RigFile) -> None:
         self.stated = stated
-        self.forgets = stated.forgets
+        self.fading_memory = stated.fading_memory
         self.kind = rig.kind.name
         self.state_names = tuple(stated.states)
         # what they are counted in is their author's matter
         self.coordinate_units: Mapping[str, str] = dict.fromkeys(self.state_names, "")
         self.state_scale = np.array(list(stated.states.values()))
         self.terms: Mapping[str, Term] = {term.key: term for term in stated.terms}
-        self.never_seen = stated.never_seen
+        self.unobservable_terms = stated.unobservable_terms
         self.horizon = rig.metric.horizon or stated.horizon
         self.fixed = {n: v for n in rig.kind.known if (v := rig.known_number(n)) is not None}
         own = tuple(p for p in stated.parameters if p.name not in self.fixed)
@@ -113,17 +113,20 @@ class RightHandSideModel:
         """Nothing: effects on the way in are the right-hand side's own matter."""
         return {}
 
-    def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
+    def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """The last state's derivative at these coordinates, (N,)."""
         x = np.array([coordinates[name] for name in self.state_names])
         u = np.array([values for name, values in coordinates.items() if name not in self.state_names])
         return self.stated.derivative(np.zeros(x.shape[1]), x, u, self._values(theta))[-1]
 
-    def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
+    def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
         """What starts are fractions of: only the input is known here."""
         largest = float(np.abs(record.inputs).max()) or 1.0
         rate = float(np.abs(np.gradient(record.inputs[:, 0], record.t)).max()) or 1.0
-        return dict.fromkeys(Yardstick, 1.0) | {Yardstick.INPUT: largest, Yardstick.INPUT_RATE: rate}
+        return dict.fromkeys(CharacteristicScale, 1.0) | {
+            CharacteristicScale.INPUT: largest,
+            CharacteristicScale.INPUT_RATE: rate,
+        }
 
     def _values(self, theta: FloatArray) -> Values:
         return {**self.fixed, **{key: float(theta[i]) for key, i in self._index.items()}}

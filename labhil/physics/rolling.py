@@ -19,7 +19,7 @@ import numpy as np
 
 from labhil.compiled import inlined
 from labhil.physics.bracket import Bracket, crossing, narrowed
-from labhil.physics.extra_force import Beyond
+from labhil.physics.extra_force import CompiledForce
 from labhil.signals import FloatArray, IntArray
 
 (
@@ -78,7 +78,7 @@ def lever(angle: float, ratio: float) -> float:
     return ratio * np.cos(angle) / np.sqrt(max(1.0 - sine * sine, 1e-6))
 
 
-def with_force(k: FloatArray, beyond: Beyond, along: FloatArray) -> FloatArray:
+def with_force(k: FloatArray, beyond: CompiledForce, along: FloatArray) -> FloatArray:
     """Strengths ``k`` (15,) with one more force behind them: a curve, or a course (n,), over the mass."""
     head = [float(beyond.over), beyond.low, beyond.per_unit, beyond.width]
     return np.concatenate([k, head, beyond.values if beyond.over else along])

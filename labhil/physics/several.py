@@ -15,9 +15,9 @@ from itertools import pairwise
 import numpy as np
 
 from labhil.errors import RecordingError, UnknownNameError, UsageError
-from labhil.physics.extra_force import ExtraForce, Yielding
+from labhil.physics.extra_force import AcceptsExtraForce, ExtraForce
 from labhil.physics.model import Metric, Model, Record, Windows, joined
-from labhil.physics.terms import Parameter, Term, Yardstick, keyed, unkeyed
+from labhil.physics.terms import CharacteristicScale, Parameter, Term, keyed, unkeyed
 from labhil.signals import FloatArray, IntArray
 
 REMEMBERED = 8
@@ -62,9 +62,9 @@ class SeveralModel:
         self.state_names = inner.state_names
         self.state_scale = inner.state_scale
         self.fixed = inner.fixed
-        self.never_seen = inner.never_seen
+        self.unobservable_terms = inner.unobservable_terms
         self.metric: Metric = inner.metric
-        self.forgets = inner.forgets
+        self.fading_memory = inner.fading_memory
         self.horizon = inner.horizon
         self.coordinate_units = inner.coordinate_units
         apart = {p.key for name in names for p in _named(inner, name)}
@@ -136,26 +136,26 @@ class SeveralModel:
             found.append(self.inner.driven(own, share.record, share.windows, here))
         return _together(found)
 
-    def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
+    def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """The inner model's in the recording of each sample, (N,) or (N, joints)."""
         numbers = np.rint(coordinates[RECORDING]).astype(np.int64)
         edges = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist(), len(numbers)]
         found = []
         for rows in (slice(a, b) for a, b in pairwise(edges)):
             own = self.of_recording(theta, int(numbers[rows.start]))
-            found.append(self.inner.effort(own, _rows_of(coordinates, rows)))
+            found.append(self.inner.generalised_force(own, _rows_of(coordinates, rows)))
         return np.concatenate(found)
 
-    def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
+    def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
         """Of each the largest that a recording has."""
-        found = [self.inner.yardsticks(each) for each in self._recordings(record)]
+        found = [self.inner.characteristic_scales(each) for each in self._recordings(record)]
         return {yardstick: max(each[yardstick] for each in found) for yardstick in found[0]}
 
     def _under(self, share: Share) -> Model:
         """The model of a recording, under its share of the forces beside the model's own."""
         model = self.inner
         for force in self._forces:
-            assert isinstance(model, Yielding)
+            assert isinstance(model, AcceptsExtraForce)
             own = None if force.course is None else force.course[share.span]
             model = model.with_force(replace(force, course=own))
         return model
@@ -189,7 +189,7 @@ class SeveralModel:
 class SeveralYieldingModel(SeveralModel):
     """The same of a model that takes one more force (satisfies ``physics.extra_force.Yielding``)."""
 
-    def __init__(self, inner: Yielding, names: Sequence[str], count: int) -> None:
+    def __init__(self, inner: AcceptsExtraForce, names: Sequence[str], count: int) -> None:
         super().__init__(inner, names, count)
         self.force_unit = inner.force_unit
         self.moved = inner.moved
@@ -203,7 +203,7 @@ class SeveralYieldingModel(SeveralModel):
 
 def several(inner: Model, names: Sequence[str], count: int) -> SeveralModel:
     """The model of ``count`` recordings of which each has its own of what ``names`` call."""
-    if isinstance(inner, Yielding):
+    if isinstance(inner, AcceptsExtraForce):
         return SeveralYieldingModel(inner, names, count)
     return SeveralModel(inner, names, count)
 
@@ -234,7 +234,9 @@ def _named(model: Model, name: str) -> list[Parameter]:
             f"{name} per recording: the rig file's [known] gives it, and so it is the same in all of them; "
             "leave it out there to have it estimated"
         )
-    unseen = {unkeyed(key)[0]: why for key, why in model.never_seen.items()} | dict(model.never_seen)
+    unseen = {unkeyed(key)[0]: why for key, why in model.unobservable_terms.items()} | dict(
+        model.unobservable_terms
+    )
     if name in unseen:
         raise UsageError(f"{name} per recording: these recordings cannot show it: {unseen[name]}")
     known = {p.name.partition(".")[0] for p in model.parameters} | {p.name for p in model.parameters}

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from labhil.compiled import by_type, inlined
-from labhil.physics.extra_force import Beyond, Pushed, PushedCourse, with_extra
+from labhil.physics.extra_force import CompiledForce, Pushed, PushedCourse, with_extra
 from labhil.physics.friction import RESOLVED, Law, damping, friction, hold, law_of, pace, thinned
 from labhil.physics.mapped import Chart, charted_force, charted_slope
 from labhil.physics.moving_part import TINY, Follows, Laws, Motion, Stops
@@ -243,7 +243,7 @@ def simulate_pushed(
     p: Part,
     f: FloatArray,
     viscous_change: FloatArray,
-    beyond: Beyond,
+    beyond: CompiledForce,
     along: FloatArray,
     out: FloatArray,
 ) -> None:

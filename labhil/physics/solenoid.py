@@ -26,7 +26,7 @@ from labhil.physics.guesses import straight_starts
 from labhil.physics.measured_input import without_noise
 from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.path_terms import input_terms, offset_term, output_terms
-from labhil.physics.terms import Enters, Parameter, Term, Yardstick
+from labhil.physics.terms import CharacteristicScale, Enters, Parameter, Term
 from labhil.physics.values import Values, horizon_of, known_numbers, near
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
@@ -100,7 +100,11 @@ def catalogue(level: float, speed: float) -> dict[str, Term]:
         Term(
             "magnetic_hysteresis", Enters.MAGNETIC, "a field that remembers where the current turned",
             "i_eff = play operator of width w on i", "play hysteron", "turning points at different currents",
-            (Parameter("magnetic_hysteresis.width", "A", 0.1, 0.0, starts=(0.05,), of=Yardstick.INPUT),),
+            (
+                Parameter(
+                    "magnetic_hysteresis.width", "A", 0.1, 0.0, starts=(0.05,), of=CharacteristicScale.INPUT
+                ),
+            ),
         ),
         Term(
             "magnetic_saturation", Enters.MAGNETIC, "iron that saturates at large currents",
@@ -140,12 +144,12 @@ class SolenoidModel:
         "coil_current_rate": "A/s",
     }
     metric = Metric.WINDOWED_SIMULATION
-    forgets = True
+    fading_memory = True
     state_names = ("plunger_position", "plunger_velocity")
     force_unit = "N"
     moved = (MovedPart("plunger_position", "plunger_velocity"),)
     _extra: ExtraForce | None = None
-    never_seen: Mapping[str, str] = {
+    unobservable_terms: Mapping[str, str] = {
         "motional_emf": "the current is measured: a voltage that the motion induces changes nothing else",
         **dict.fromkeys(AMPLIFIER, "the current is measured: what the amplifier does to it comes before"),
     }
@@ -258,22 +262,22 @@ class SolenoidModel:
         nodes, current = self._field(theta, record)
         return {"field_current": np.interp(record.t[windows.rows], nodes, current)}
 
-    def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
+    def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """Force on the plunger at these coordinates, N; zero where it rests."""
         x, v, i = (coordinates[n] for n in ("plunger_position", "plunger_velocity", "field_current"))
         mass = self._values.of(theta, "moving_mass")
         part, law = self._part(theta), self._values.friction_law(theta, mass)
         return np.asarray(sliding.accelerations(i, x, v, self._magnet(mass), part, law) * mass)
 
-    def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
+    def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
         """What starts are fractions of, from this recording."""
         i = record.inputs[:, 0]
         return {
-            Yardstick.UNIT: 1.0,
-            Yardstick.INPUT: float(np.abs(i).max()) or 1.0,
-            Yardstick.INPUT_RATE: float(np.quantile(np.abs(np.gradient(i, record.t)), 0.98)) or 1.0,
-            Yardstick.DRIVE: 0.2 * abs(self.force),
-            Yardstick.SPEED: self.speed,
+            CharacteristicScale.UNIT: 1.0,
+            CharacteristicScale.INPUT: float(np.abs(i).max()) or 1.0,
+            CharacteristicScale.INPUT_RATE: float(np.quantile(np.abs(np.gradient(i, record.t)), 0.98)) or 1.0,
+            CharacteristicScale.DRIVE: 0.2 * abs(self.force),
+            CharacteristicScale.SPEED: self.speed,
         }
 
     def _part(self, theta: FloatArray) -> sliding.Part:

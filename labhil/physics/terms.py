@@ -24,7 +24,7 @@ class Enters(StrEnum):
     LOAD = "load"
 
 
-class Yardstick(StrEnum):
+class CharacteristicScale(StrEnum):
     """What in a recording the starts of a parameter are fractions of."""
 
     UNIT = "unit"
@@ -62,7 +62,7 @@ class Parameter:
     lower: float = float("-inf")
     upper: float = float("inf")
     starts: tuple[float, ...] = ()
-    of: Yardstick = Yardstick.UNIT
+    of: CharacteristicScale = CharacteristicScale.UNIT
     power: int = 1
     step: float = 1e-4
     shape: bool = False

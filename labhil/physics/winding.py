@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from labhil.compiled import inlined
-from labhil.physics.extra_force import Beyond, Pushed, PushedCourse, with_extra
+from labhil.physics.extra_force import CompiledForce, Pushed, PushedCourse, with_extra
 from labhil.physics.friction import RESOLVED, Law, damping, friction, hold, law_of, pace, thinned
 from labhil.physics.moving_part import NO_STOPS, TINY, Follows, Laws, Motion
 from labhil.physics.stick_slip import FINEST, integrator
@@ -220,7 +220,7 @@ def simulate_pushed(
     f: FloatArray,
     warm: FloatArray,
     viscous_change: FloatArray,
-    beyond: Beyond,
+    beyond: CompiledForce,
     along: FloatArray,
     out: FloatArray,
 ) -> None:

@@ -153,8 +153,8 @@ def _draw_effect(axes: Axes, share: locate.Contribution, regimes: Sequence[locat
         span = axes.axvspan if regime.coordinate == over.name else axes.axhspan
         label = "where most of it lives" if number == 0 else None
         span(regime.low, regime.high, color=BEFORE, alpha=0.15, label=label)
-    effort = f"what it adds, {share.unit}" if share.unit else "what it adds"
-    finish(axes, f"Left out: {share.term}", over.label, effort)
+    generalised_force = f"what it adds, {share.unit}" if share.unit else "what it adds"
+    finish(axes, f"Left out: {share.term}", over.label, generalised_force)
 
 
 def _draw_curve(axes: Axes, curve: Curve) -> None:

@@ -87,7 +87,7 @@ class Firmware:
 
     def receive(self, data: bytes, now: float) -> bytes:
         """Take bytes from the host; return the answer, if any."""
-        return b"".join(self._obey(frame, now) for frame in self._decoder.feed(data))
+        return b"".join(self._dispatch(frame, now) for frame in self._decoder.feed(data))
 
     def watch(self, now: float) -> None:
         """Go to the safe output when the host has been silent for too long."""
@@ -122,7 +122,7 @@ class Firmware:
             self._go_safe()
             self._flags |= StateFlag.EXPIRED
 
-    def _obey(self, frame: Frame, now: float) -> bytes:
+    def _dispatch(self, frame: Frame, now: float) -> bytes:
         try:
             answer = self._carry_out(frame)
         except ProtocolError:

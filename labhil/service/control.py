@@ -158,7 +158,7 @@ class DeviceControl:
                 before = now
         finally:
             self._driver.safe()
-        self._become(HostState.STOPPED, reason, counters=asdict(self._driver.counters))
+        self._transition(HostState.STOPPED, reason, counters=asdict(self._driver.counters))
         return reason
 
     def _turn(self, before: float) -> float:
@@ -178,7 +178,7 @@ class DeviceControl:
         answer_is_due = len(batch) > 0 and self.state is HostState.ACTIVE
         if self._heard_any:  # what is asked at the very start waits for the sample that says how things stand
             self._answer_requests(now, self._reaction_time if answer_is_due else 0.0)
-        self._keep_watch(now, now - before)
+        self._check_watchdog(now, now - before)
         return now
 
     def _refuse_to_be_deaf(self) -> None:
@@ -211,7 +211,7 @@ class DeviceControl:
 
     def _return(self, message: str) -> None:
         state = HostState.IDLE if self._latch.standing is None else HostState.LATCHED
-        self._become(state, message, "reconnected")
+        self._transition(state, message, "reconnected")
 
     def _look_at_latch(self, now: float) -> None:
         self._latch.look(now)
@@ -225,7 +225,7 @@ class DeviceControl:
         self._output.clock = Clock(int(batch.t_hw_ns[-1]), int(batch.t_acq_ns[-1]))
         self._states.put(batch)
         beyond = self._sample_limits.violation(batch)
-        self._violation = beyond or self._output.trouble()
+        self._violation = beyond or self._output.fault()
         tripped = self._interlocks.take_in(batch)
         if beyond is None and self._config.reconnect:
             self._wait_for_driver()
@@ -240,7 +240,7 @@ class DeviceControl:
 
     def _wait_for_driver(self) -> None:
         """Note that the driver mends something by itself, though samples go on, or that it has."""
-        mending = self._violation is not None and self._output.recovers()
+        mending = self._violation is not None and self._output.is_transient()
         if mending and not self._mending and self.state in STEADY:
             self._mending = True
             self._to_safety(HostState.IDLE, str(self._violation), "lost")
@@ -285,7 +285,7 @@ class DeviceControl:
                 return
             patience = 0.0
             try:
-                answer = self._obey(request, now)
+                answer = self._dispatch(request, now)
             except CommandRefusedError as error:
                 if request.answer is None:
                     self._look_at_latch(now)  # a stop that came with it is told before what it refuses
@@ -296,7 +296,7 @@ class DeviceControl:
                 if request.answer is not None:
                     request.answer.set_result(answer)
 
-    def _obey(self, request: Request, now: float) -> dict[str, Any]:
+    def _dispatch(self, request: Request, now: float) -> dict[str, Any]:
         return self._answers[request.name](request.payload, now)
 
     def _refuse_once(self, message: str) -> None:
@@ -329,7 +329,7 @@ class DeviceControl:
                 raise CommandRefusedError(objection)
             token = self._lease.take(asked.holder, now)
             self._refused.clear()
-            self._become(HostState.IDLE, f"lease taken by {asked.holder!r}", "leased")
+            self._transition(HostState.IDLE, f"lease taken by {asked.holder!r}", "leased")
             return {"token": token}
         self._lease.renew(asked.token, now)
         if asked.action == "return":
@@ -361,7 +361,7 @@ class DeviceControl:
         else:
             self._latch.release()
             if self.state is HostState.LATCHED:
-                self._become(HostState.IDLE, "the emergency stop was released", "released")
+                self._transition(HostState.IDLE, "the emergency stop was released", "released")
         return {"state": self.state.value, "latched": self._latch.standing is not None}
 
     def _set(self, payload: SetpointMessage, now: float) -> dict[str, Any]:
@@ -398,11 +398,11 @@ class DeviceControl:
     def _apply(self, setpoint: Setpoint, now: float) -> None:
         if self.state is not HostState.ACTIVE:
             self._output.begin(now)
-            self._become(HostState.ACTIVE, f"commanded by {self._lease.holder!r}")
+            self._transition(HostState.ACTIVE, f"commanded by {self._lease.holder!r}")
         self._output.take(setpoint.values)
         self._commands.put(self._output.send(now, setpoint.t_hw_ns))
 
-    def _keep_watch(self, now: float, turn: float) -> None:
+    def _check_watchdog(self, now: float, turn: float) -> None:
         if self.state is not HostState.ACTIVE:
             return
         self._output.unheard += min(turn, LONGEST_STALL)
@@ -420,9 +420,9 @@ class DeviceControl:
     def _to_safety(self, state: HostState, reason: str, kind: str | None = None, **more: str) -> None:
         self._output.make_safe()
         self._lease.revoke()
-        self._become(state, reason, kind, **more)
+        self._transition(state, reason, kind, **more)
 
-    def _become(self, state: HostState, reason: str, kind: str | None = None, **more: object) -> None:
+    def _transition(self, state: HostState, reason: str, kind: str | None = None, **more: object) -> None:
         self.state, self._reason = state, reason
         self._announce(kind or state.value, reason, **more)
 

@@ -43,8 +43,8 @@ def press_everywhere(by: str, reason: str, connect: str | None = None) -> Outcom
     The latch is set first: it works without the bus. Where it cannot be, devices are stopped all the same,
     and the outcome says so under ``LATCH``. BusError when no bus can be opened at all.
     """
-    trouble = _latched(by, reason)
-    return _with(trouble, _ask_everywhere({"action": "press", "by": by, "reason": reason}, connect))
+    fault = _latched(by, reason)
+    return _with(fault, _ask_everywhere({"action": "press", "by": by, "reason": reason}, connect))
 
 
 def release_everywhere(connect: str | None = None) -> Outcome:
@@ -55,9 +55,9 @@ def release_everywhere(connect: str | None = None) -> Outcome:
 
 def press_on(bus: Bus, by: str, reason: str, expected: Collection[str]) -> Outcome:
     """Stop every device on a bus that is open already; ``expected`` are those that have to answer."""
-    trouble = _latched(by, reason)
+    fault = _latched(by, reason)
     payload = {"action": "press", "by": by, "reason": reason}
-    return _with(trouble, _ask_until_all_answer(bus, payload, set(expected)))
+    return _with(fault, _ask_until_all_answer(bus, payload, set(expected)))
 
 
 def _latched(by: str, reason: str) -> Mapping[str, str]:
@@ -69,8 +69,8 @@ def _latched(by: str, reason: str) -> Mapping[str, str]:
     return {}
 
 
-def _with(trouble: Mapping[str, str], outcome: Outcome) -> Outcome:
-    return replace(outcome, failed={**outcome.failed, **trouble})
+def _with(fault: Mapping[str, str], outcome: Outcome) -> Outcome:
+    return replace(outcome, failed={**outcome.failed, **fault})
 
 
 def _ask_everywhere(payload: Mapping[str, Any], connect: str | None) -> Outcome:

@@ -80,13 +80,13 @@ class Output:
             return math.inf  # the driver takes its own time to get there
         return (t_hw_ns - self._sent_for_ns) * 1e-9
 
-    def trouble(self) -> str | None:
+    def fault(self) -> str | None:
         """Return what keeps the device from being commanded, where its driver says so."""
-        return (self._timed.trouble() or None) if self._timed is not None else None
+        return (self._timed.fault() or None) if self._timed is not None else None
 
-    def recovers(self) -> bool:
+    def is_transient(self) -> bool:
         """Whether the driver mends that by itself."""
-        return self._timed is not None and self._timed.recovers()
+        return self._timed is not None and self._timed.is_transient()
 
     def _row(self) -> Batch:
         t_ns = unix_ns()

@@ -32,7 +32,7 @@ class RecordedStream:
     size: int = 0
     """Bytes that wait while nobody has said what they are."""
     asked_at: float = float("-inf")
-    trouble: str = ""
+    fault: str = ""
     samples: int = 0
     gaps: int = 0
     refused: int = 0

@@ -337,7 +337,7 @@ class Recorder:
             channel.number = self._writer.add_stream(channel.device, stream, told)
         except UNEXPLAINED as error:
             # its publisher may not be known here yet, or gone for good
-            channel.trouble = str(error)
+            channel.fault = str(error)
 
     def _schema_of(self, channel: RecordedStream) -> SchemaMessage | None:
         # what somebody said once is looked at once: the publisher itself may still be asked
@@ -404,7 +404,7 @@ class Recorder:
         self._writer.attach(name, "application/octet-stream", b"".join(channel.waiting))
         self._note(
             f"/{channel.device}/{channel.stream}: {len(channel.waiting)} samples came in, but nobody said "
-            f"what they are ({channel.trouble}); their bytes are attached as {name}"
+            f"what they are ({channel.fault}); their bytes are attached as {name}"
         )
 
     def _write_remarks(self) -> None:

@@ -122,7 +122,7 @@ class Replay:
         self._tracks: list[_Track] = []
         self._resources = ExitStack()
         self.endpoint = ""
-        self.trouble = ""
+        self.fault = ""
         """Why nothing is played any more; empty while all is well."""
 
     def __enter__(self) -> Self:
@@ -139,7 +139,7 @@ class Replay:
                 serve(
                     bus,
                     REPLAY_CONTROL,
-                    self._obey,
+                    self._dispatch,
                     reader=lambda payload: parse(ReplayRequest, payload, "a request to a replay"),
                     guarded=lambda asked: asked.action != "status",
                 )
@@ -220,7 +220,7 @@ class Replay:
         publisher = StreamPublisher(self._bus, data.device, data.stream, told, namespace=REPLAY)
         return _Track(data, publisher, told, self._times[id(data)])
 
-    def _obey(self, asked: ReplayRequest) -> dict[str, Any]:
+    def _dispatch(self, asked: ReplayRequest) -> dict[str, Any]:
         if asked.action == "pause":
             self.pause()
         elif asked.action == "play":
@@ -245,7 +245,7 @@ class Replay:
                 with self._lock:
                     self._step(unix_ns())
             except BusError as error:
-                self.trouble = str(error)
+                self.fault = str(error)
                 self._ended.set()
                 return
 

@@ -18,7 +18,7 @@ from labhil.physics.extra_force import ExtraForce, MovedPart, Pushed, PushedCour
 from labhil.physics.guesses import yardsticks_of
 from labhil.physics.model import Metric, Record, Windows, index_of, start_values
 from labhil.physics.moving_part import Stops
-from labhil.physics.terms import Parameter, Term, Yardstick
+from labhil.physics.terms import CharacteristicScale, Parameter, Term
 from labhil.physics.values import Values, known_numbers
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
@@ -76,7 +76,7 @@ class SimulatorModel:
     """
 
     metric = Metric.WINDOWED_SIMULATION
-    forgets = False
+    fading_memory = False
     _extra: ExtraForce | None = None
 
     def __init__(self, simulator: Simulator, rig: RigFile, record: Record | None = None) -> None:
@@ -103,7 +103,7 @@ class SimulatorModel:
         self._set(own, {}, Sizes())
         self._measure(own, record)
         self.horizon = rig.metric.horizon or simulator.horizon or self.sizes.horizon
-        self.never_seen: Mapping[str, str] = {}
+        self.unobservable_terms: Mapping[str, str] = {}
         self.notes: list[str] = []
         if record is not None:
             self._try_out(own, record)
@@ -164,8 +164,8 @@ class SimulatorModel:
             same = dependent(self, alive, record, windows, states)
             self.notes += [_same_note(name, self.simulator) for name in same]
             alive = self._without(alive, same)
-        self.never_seen = confounded(self, alive, record, windows, states)
-        left = {key: term for key, term in self.terms.items() if key not in self.never_seen}
+        self.unobservable_terms = confounded(self, alive, record, windows, states)
+        left = {key: term for key, term in self.terms.items() if key not in self.unobservable_terms}
         self._set(alive, left, self.sizes)
 
     def _beside_itself(
@@ -248,13 +248,13 @@ class SimulatorModel:
         """What acts of the input behind the way in."""
         return {"acting_drive": self._path.at_samples(record, windows, lambda n: self._on_the_way(theta, n))}
 
-    def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
+    def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """Force on the inertia at these coordinates; zero where it rests."""
         x, v = (np.ascontiguousarray(coordinates[name]) for name in self.state_names)
         part, inertia = self._part(theta)
         return np.asarray(self._kernels.pull(x, v, coordinates["acting_drive"], part) * inertia)
 
-    def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
+    def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
         """What starts are fractions of, from this recording."""
         return yardsticks_of(record, self.sizes.force, self.sizes.speed)
 

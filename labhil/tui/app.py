@@ -33,10 +33,10 @@ from labhil.tui.bar import bar_text, question_before_leaving
 from labhil.tui.devices import DevicesPane
 from labhil.tui.dialogs import Confirm
 from labhil.tui.experiment import ExperimentPane
-from labhil.tui.lab import Lab
+from labhil.tui.lab import Session
 from labhil.tui.live import LivePane
 from labhil.tui.messages import RunSaid, ShelfRead, StartWanted, StudySaid, StudyWanted
-from labhil.tui.pace import Pace
+from labhil.tui.pace import FrameLimiter
 from labhil.tui.palette import TABS, Palette, commands
 from labhil.tui.recordings import RecordingsPane
 from labhil.tui.results import ResultsPane
@@ -85,7 +85,7 @@ class LabApp(App[None]):
         Binding("ctrl+q,ctrl+c", "leave", "Quit", id="app.quit.too", show=False, priority=True),
     ]
 
-    def __init__(self, folder: Path, lab: Lab, *, theme: str = DARK.name, tab: str = "devices") -> None:
+    def __init__(self, folder: Path, lab: Session, *, theme: str = DARK.name, tab: str = "devices") -> None:
         super().__init__()
         self.folder, self.lab, self._first_tab = folder, lab, tab
         self.runner = Runner(folder, lambda line: self.post_message(RunSaid(line)))
@@ -93,7 +93,7 @@ class LabApp(App[None]):
         self._shelf = ShelfReader(self, folder)
         self.emergency = EmergencyStop(self, lab, self._show_stop, self._log_run)
         self.leaving = ""
-        self._pace = Pace()
+        self._pace = FrameLimiter()
         self._bar = Text()
         self._panes: tuple[TabPane, ...] = ()
         self.register_theme(DARK)

@@ -10,8 +10,8 @@ from textual.app import ComposeResult
 from textual.containers import Container, Vertical, VerticalScroll
 from textual.widgets import DataTable, Static
 
-from labhil.tui.lab import Lab
-from labhil.tui.watch import REPLAYED, DeviceView, Said
+from labhil.tui.lab import Session
+from labhil.tui.watch import REPLAYED, Announcement, DeviceView
 from labhil.tui.words import (
     NOTHING,
     PlainTable,
@@ -45,7 +45,7 @@ EMPTY = """[b]No device is on a bus here.[/b]
 class DevicesPane(Vertical):
     """A table of devices, and what the chosen one reads."""
 
-    def __init__(self, lab: Lab) -> None:
+    def __init__(self, lab: Session) -> None:
         super().__init__(id="devices-pane")
         self._lab = lab
         self._shown: tuple[str, ...] = ()
@@ -94,7 +94,7 @@ class DevicesPane(Vertical):
                 endpoint,
                 view.name,
                 view.stream,
-                self._lab.trouble,
+                self._lab.fault,
                 [len(value) for _, value in known[4:]],
             )
             readings = self._readings(view, known)
@@ -132,8 +132,8 @@ class DevicesPane(Vertical):
         known.add_column()
         for name, value in told:
             known.add_row(name, value)
-        if self._lab.trouble:
-            known.add_row(Text("▲ trouble", style=colours["warning"]), self._lab.trouble)
+        if self._lab.fault:
+            known.add_row(Text("▲ trouble", style=colours["warning"]), self._lab.fault)
         if view.stream is None:
             return Group(known)
         return Group(*self._values(view), Text(), known)
@@ -184,7 +184,7 @@ def facts(endpoint: str, view: DeviceView) -> list[tuple[str, str]]:
     return lines
 
 
-def said(event: Said) -> str:
+def said(event: Announcement) -> str:
     """An event in one line."""
     at = datetime.fromtimestamp(event.t_ns * 1e-9).astimezone().strftime("%H:%M:%S")
     return f"{at} {event.kind}: {event.message}" if event.message else f"{at} {event.kind}"

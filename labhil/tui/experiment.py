@@ -21,10 +21,10 @@ from labhil.experiment.experiment import TWIN, load_experiment
 from labhil.experiment.plan import Plan, make_plan
 from labhil.host_clock import steady_ns
 from labhil.tui.dialogs import Write
-from labhil.tui.lab import Lab
+from labhil.tui.lab import Session
 from labhil.tui.messages import StartWanted
+from labhil.tui.recording_library import ExperimentFile, experiments
 from labhil.tui.runner import Runner
-from labhil.tui.shelf import ExperimentFile, experiments
 from labhil.tui.words import RUN_STATES, duration
 
 BUTTONS: tuple[tuple[str, str, ButtonVariant], ...] = (
@@ -61,7 +61,7 @@ class ExperimentPane(Vertical):
         Binding("m", "mark", "Mark", id="run.mark", tooltip="A marker at this moment of the recording"),
     ]
 
-    def __init__(self, folder: Path, runner: Runner, lab: Lab) -> None:
+    def __init__(self, folder: Path, runner: Runner, lab: Session) -> None:
         super().__init__(id="experiment-pane")
         self._folder, self._runner, self._lab = folder, runner, lab
         self._files: list[ExperimentFile] = []

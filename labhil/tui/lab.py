@@ -18,7 +18,7 @@ from labhil.errors import LabhilError
 from labhil.service.emergency import Outcome, press_everywhere, press_on, release_everywhere
 from labhil.signals import Signal
 from labhil.tui.stream_watch import StreamWatch
-from labhil.tui.watch import DeviceView, Said, Watch
+from labhil.tui.watch import Announcement, DeviceView, Watch
 
 LOOK_INTERVAL = 0.5
 FORGET_AFTER = 3
@@ -53,7 +53,7 @@ class Place:
         return f"{self.endpoint} {self.device} {self.stream} {self.signal.name}"
 
 
-class Lab:
+class Session:
     """Watches the buses at ``fixed`` endpoints and at those that ``found`` tells of.
 
     Raises BusError where nobody listens at a fixed endpoint.
@@ -109,7 +109,7 @@ class Lab:
         watch = self.watches.get(place.endpoint)
         return None if watch is None else watch.stream(place.device, place.stream)
 
-    def events(self) -> list[Said]:
+    def events(self) -> list[Announcement]:
         """What was announced, the oldest first."""
         said = [event for watch in self.watches.values() for event in watch.events.copy()]
         return sorted(said, key=lambda event: event.t_ns)
@@ -125,9 +125,9 @@ class Lab:
             watch.control_replay(action, value)
 
     @property
-    def trouble(self) -> str:
+    def fault(self) -> str:
         """What was wrong last with what came in; empty where nothing was."""
-        return "; ".join(watch.trouble for watch in self.watches.values() if watch.trouble)
+        return "; ".join(watch.fault for watch in self.watches.values() if watch.fault)
 
     def failure(self) -> str:
         """Return why what is shown is news no more; empty while all is well."""

@@ -17,11 +17,11 @@ from labhil.signals import Direction, FloatArray
 from labhil.tui import lab as labs
 from labhil.tui.curve import PENS, Curve
 from labhil.tui.dialogs import Choose
-from labhil.tui.lab import Lab, Place
+from labhil.tui.lab import Place, Session
 from labhil.tui.plot import Chart
+from labhil.tui.recording_library import results
 from labhil.tui.replaying import replay_line, steer
 from labhil.tui.shadow import ShadowView
-from labhil.tui.shelf import results
 from labhil.tui.stream_watch import trace
 from labhil.tui.themes import CURVES
 from labhil.tui.ticks import Limits, limits_of
@@ -53,7 +53,7 @@ class LivePane(Horizontal):
         Binding("l", "list", "Signals", id="live.list", tooltip="Show or hide the list of signals"),
     ]
 
-    def __init__(self, lab: Lab, folder: Path) -> None:
+    def __init__(self, lab: Session, folder: Path) -> None:
         super().__init__(id="live-pane")
         self._lab, self._folder = lab, folder
         self._places: dict[str, Place] = {}

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from labhil.errors import UsageError
 from labhil.tui.app import LabApp
-from labhil.tui.lab import Lab
+from labhil.tui.lab import Session
 from labhil.tui.themes import DARK, LIGHT
 
 
@@ -19,7 +19,7 @@ def run_tui(folder: Path, connect: Iterable[str], *, light: bool = False, tab: s
     """
     if not folder.is_dir():
         raise UsageError(f"{folder}: expected a folder for recordings, found none")
-    with Lab(tuple(connect)) as lab:
+    with Session(tuple(connect)) as lab:
         app = LabApp(folder, lab, theme=LIGHT.name if light else DARK.name, tab=tab)
         try:
             app.run()

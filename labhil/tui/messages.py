@@ -7,7 +7,7 @@ from typing import Any
 
 from textual.message import Message
 
-from labhil.tui.shelf import Shelved
+from labhil.tui.recording_library import LibraryEntry
 
 
 @dataclass
@@ -29,7 +29,7 @@ class StudySaid(Message):
 class ShelfRead(Message):
     """The recordings of the folder, as far as they are read."""
 
-    recordings: list[Shelved]
+    recordings: list[LibraryEntry]
 
 
 @dataclass

@@ -13,7 +13,7 @@ SLOWEST = 0.5
 Clock = Callable[[], float]
 
 
-class Pace:
+class FrameLimiter:
     """Says at each tick whether to draw; ``spent`` is the CPU time of the calling thread, s.
 
     A picture of three charts takes some 5 ms on a machine of its own and four times that where others

@@ -18,7 +18,7 @@ from labhil.errors import LabhilError
 from labhil.recording.reader import Recording, StreamData, read_recording
 from labhil.tui.curve import PENS, Curve
 from labhil.tui.plot import Chart
-from labhil.tui.shelf import how_it_ended
+from labhil.tui.recording_library import how_it_ended
 from labhil.tui.themes import CURVES
 from labhil.tui.words import count, duration, ended_look, frequency
 

@@ -18,7 +18,7 @@ from labhil.tui.analysis import AnalysisDialog
 from labhil.tui.dialogs import Choose
 from labhil.tui.messages import StudyWanted
 from labhil.tui.recording import RecordingScreen
-from labhil.tui.shelf import Shelved, results
+from labhil.tui.recording_library import LibraryEntry, results
 from labhil.tui.words import count, duration, ended_look, size
 
 COLUMNS = (
@@ -61,7 +61,7 @@ class RecordingsPane(Vertical):
     def __init__(self, folder: Path) -> None:
         super().__init__(id="recordings-pane")
         self._folder = folder
-        self._shelved: list[Shelved] = []
+        self._shelved: list[LibraryEntry] = []
         self._marks: dict[Path, str] = {}
         self._name_width = NARROW
 
@@ -90,7 +90,7 @@ class RecordingsPane(Vertical):
             shelved, self._shelved = self._shelved, []
             self.take(shelved)
 
-    def take(self, shelved: list[Shelved]) -> None:
+    def take(self, shelved: list[LibraryEntry]) -> None:
         """Show these."""
         same = [one.path for one in shelved] == [one.path for one in self._shelved]
         self._shelved = shelved
@@ -112,13 +112,13 @@ class RecordingsPane(Vertical):
                 self._update(one)
         self._tell()
 
-    def _update(self, one: Shelved) -> None:
+    def _update(self, one: LibraryEntry) -> None:
         table = self.query_one(DataTable)
         for (key, _, _), cell in zip(COLUMNS, self._row(one), strict=True):
             if table.get_cell(str(one.path), key) != cell:
                 table.update_cell(str(one.path), key, cell, update_width=key == "reason")
 
-    def _row(self, one: Shelved) -> list[Text]:
+    def _row(self, one: LibraryEntry) -> list[Text]:
         colours = self.app.theme_variables
         mark = self._marks.get(one.path, "")
         name = one.path.name.removesuffix(".mcap")
@@ -139,7 +139,7 @@ class RecordingsPane(Vertical):
             gaps,
             Text(size(one.size), justify="right"),
             Text(one.when, style=colours["muted"]),
-            Text(one.trouble or one.reason, style=colours["muted"]),
+            Text(one.fault or one.reason, style=colours["muted"]),
         ]
 
     def on_data_table_row_highlighted(self, _event: DataTable.RowHighlighted) -> None:
@@ -158,7 +158,7 @@ class RecordingsPane(Vertical):
         if one is not None:
             line.append(one.path.name, style="bold")
             line.append(f"  {size(one.size)}, {one.when}  ", style=colours["muted"])
-            line.append(f"{one.trouble or one.reason or one.status}\n", style=colours["muted"])
+            line.append(f"{one.fault or one.reason or one.status}\n", style=colours["muted"])
             use, tests = self._use()
             what = ", ".join(path.name.removesuffix(".mcap") for path in use)
             line.append("f d x: ", style=colours["muted"]).append(what)
@@ -166,7 +166,7 @@ class RecordingsPane(Vertical):
                 line.append(f"; judged on {', '.join(path.name.removesuffix('.mcap') for path in tests)}")
         self.query_one("#recordings-detail", Static).update(line)
 
-    def _chosen(self) -> Shelved | None:
+    def _chosen(self) -> LibraryEntry | None:
         table = self.query_one(DataTable)
         try:
             key = table.coordinate_to_cell_key(table.cursor_coordinate).row_key.value

@@ -7,7 +7,7 @@ from rich.text import Text
 from labhil.bus.incoming import ReplayMessage
 from labhil.errors import LabhilError
 from labhil.service.replay import FASTEST, SLOWEST
-from labhil.tui.lab import Lab
+from labhil.tui.lab import Session
 
 SPEEDS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 BACK = 10.0
@@ -33,7 +33,7 @@ def next_speed(speed: float, way: int) -> float:
     return min(max(chosen, SLOWEST), FASTEST)
 
 
-def steer(lab: Lab, action: str, way: int = 0) -> str:
+def steer(lab: Session, action: str, way: int = 0) -> str:
     """Do what a key asks of every replay in reach; waits for their answers.
 
     Args:

@@ -23,8 +23,8 @@ from labhil.signals import FloatArray
 from labhil.tui.curve import Curve, Pen
 from labhil.tui.overlay import OverlayScreen
 from labhil.tui.plot import Chart
+from labhil.tui.recording_library import ResultFile, results
 from labhil.tui.result_text import headline, result_renderable
-from labhil.tui.shelf import ResultFile, results
 from labhil.tui.words import duration
 
 EMPTY = """[b]No fit and no diagnosis in this folder yet.[/b]

@@ -8,14 +8,14 @@ from pathlib import Path
 from textual.app import App
 
 from labhil.tui.messages import ShelfRead
-from labhil.tui.shelf import Shelf
+from labhil.tui.recording_library import RecordingLibrary
 
 
 class ShelfReader:
     """Sends ``app`` a :class:`ShelfRead` as often as more of ``folder`` has been read."""
 
     def __init__(self, app: App[None], folder: Path) -> None:
-        self._app, self._shelf = app, Shelf(folder)
+        self._app, self._shelf = app, RecordingLibrary(folder)
         self._reading = threading.Lock()
 
     def look(self) -> None:

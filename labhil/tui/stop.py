@@ -14,7 +14,7 @@ from labhil.bus.latch import Latch
 from labhil.errors import LabhilError
 from labhil.service.emergency import Outcome
 from labhil.tui.dialogs import Confirm
-from labhil.tui.lab import Lab
+from labhil.tui.lab import Session
 
 
 def stop_note(standing: Latch, outcome: Outcome | None) -> Text:
@@ -56,7 +56,7 @@ class EmergencyStop:
     """
 
     def __init__(
-        self, app: App[None], lab: Lab, show: Callable[[], bool], log: Callable[[str, str, str], None]
+        self, app: App[None], lab: Session, show: Callable[[], bool], log: Callable[[str, str, str], None]
     ) -> None:
         self._app, self._lab, self._show, self._log = app, lab, show, log
         self.latch: Latch | None = None

@@ -28,7 +28,7 @@ MOST_ROWS = 65536
 
 
 @dataclass(frozen=True, slots=True)
-class Beat:
+class StreamHealth:
     """How regularly a stream comes in.
 
     ``rate`` is measured (samples per s of the host's clock), None while there are too few; ``age`` is s
@@ -87,7 +87,7 @@ class StreamWatch:
         self.transits.append((now, (now_ns + self.ahead_ns - int(batch.t_acq_ns[-1])) * 1e-9))
         self.ring.append(batch)
 
-    def beat(self, now: float) -> Beat:
+    def beat(self, now: float) -> StreamHealth:
         """How regularly it came in lately; times on the monotonic clock, s."""
         age = now - self.arrived_at
         silent = age > max(SILENT_AFTER, 5.0 / (self.stream.rate * self.speed))
@@ -99,7 +99,7 @@ class StreamWatch:
             lateness = float(delays.max() - delays.min()) * 1e-9
         recent = [transit for at, transit in self.transits.copy() if now - at < MEASURED_OVER]
         transit = float(np.median(recent)) if recent and not silent else None
-        return Beat(rate, age, silent, self.gaps, self.received, transit, lateness)
+        return StreamHealth(rate, age, silent, self.gaps, self.received, transit, lateness)
 
 
 def trace(watched: StreamWatch, signal: str, seconds: float, now_ns: int) -> tuple[FloatArray, FloatArray]:

@@ -45,7 +45,7 @@ from labhil.bus.subscribe import subscribe
 from labhil.codec import stream_from_json
 from labhil.errors import BusError, CommandRefusedError, ProtocolError
 from labhil.signals import Signal, Stream
-from labhil.tui.stream_watch import Beat, StreamWatch
+from labhil.tui.stream_watch import StreamHealth, StreamWatch
 
 ASK_INTERVAL = 0.5
 ASK_TIMEOUT = 0.5
@@ -70,7 +70,7 @@ REPLAYED = f"{REPLAY}/"
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
+class Announcement:
     """Something a device or a run announced, at Unix time ``t_ns``."""
 
     t_ns: int
@@ -87,12 +87,12 @@ class DeviceView:
     state: str
     reason: str
     holder: str | None
-    beat: Beat | None
+    beat: StreamHealth | None
     stream: Stream | None
     speed: float
     metadata: Mapping[str, str]
     last: tuple[float, ...]
-    event: Said | None
+    event: Announcement | None
 
     @property
     def is_replayed(self) -> bool:
@@ -107,7 +107,7 @@ class _Device:
     reason: str = ""
     holder: str | None = None
     alive: bool = True
-    event: Said | None = None
+    event: Announcement | None = None
 
     @property
     def main(self) -> StreamWatch | None:
@@ -121,8 +121,8 @@ class Watch:
 
     def __init__(self, bus: Bus) -> None:
         self.bus = bus
-        self.events: deque[Said] = deque(maxlen=MOST_EVENTS)
-        self.trouble = ""
+        self.events: deque[Announcement] = deque(maxlen=MOST_EVENTS)
+        self.fault = ""
         self.replay: ReplayMessage | None = None
         """The replay on this bus, if one is there."""
         self._devices: dict[str, _Device] = {}
@@ -192,7 +192,7 @@ class Watch:
         try:
             self._learn(*_names(key), parse(SchemaMessage, payloads[-1], "a schema", LARGEST_SCHEMA))
         except UNEXPLAINED as error:
-            self.trouble = f"{key}: {error}"
+            self.fault = f"{key}: {error}"
 
     def _take(self, key: str, payloads: list[bytes]) -> None:
         device, stream = _names(key)
@@ -209,7 +209,7 @@ class Watch:
             try:
                 watched.take(payloads, time.monotonic(), time.time_ns())
             except UNEXPLAINED as error:
-                self.trouble = f"{key}: {error}"
+                self.fault = f"{key}: {error}"
 
     def _learn(self, device: str, stream: str, reply: SchemaMessage) -> None:
         parse(StreamDeclaration, reply.stream, "a stream", LARGEST_SCHEMA)
@@ -233,9 +233,9 @@ class Watch:
             event = parse(EventMessage, payload, "an event")
             text, state = event.message or event.reason or event.text, event.state
             kind = state if event.kind == "note" and state else event.kind
-            said = Said(event.t_ns, device, kind, text)
+            said = Announcement(event.t_ns, device, kind, text)
         except CommandRefusedError:
-            said = Said(time.time_ns(), device, "note", payload[:1000].decode("utf-8", "replace"))
+            said = Announcement(time.time_ns(), device, "note", payload[:1000].decode("utf-8", "replace"))
         self.events.append(said)
         if device == "run" or device.startswith(REPLAYED):
             return  # what a device was at that time says nothing about now
@@ -257,10 +257,10 @@ class Watch:
             try:
                 self._ask_once()
             except (BusError, *UNEXPLAINED) as error:
-                self.trouble = str(error)
+                self.fault = str(error)
 
     def _ask_once(self) -> None:
-        self.trouble = ""
+        self.fault = ""
         alive = live_devices(self.bus)
         with self._lock:
             for name in alive:
@@ -301,7 +301,7 @@ class Watch:
             reply = ask(self.bus, schema_key(*_place(device, stream)), timeout=ASK_TIMEOUT)
             self._learn(device, stream, validate(SchemaMessage, reply, "a schema"))
         except (BusError, *UNEXPLAINED) as error:
-            self.trouble = f"{device}/{stream}: {error}"
+            self.fault = f"{device}/{stream}: {error}"
 
     def _ask_status(self, name: str, device: _Device) -> None:
         try:

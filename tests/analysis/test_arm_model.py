@@ -120,7 +120,7 @@ def solved(model, record, terms, start=None):
     return theta, record.outputs - simulated(model, theta, record)
 
 
-def polished(model, record, terms, start, keys):
+def refine(model, record, terms, start, keys):
     """Least squares on ``keys`` with differences, the linear parameters solved within."""
     places = [index_of(model.parameters)[key] for key in keys]
     scale = np.array([model.parameters[i].scale for i in places])
@@ -305,7 +305,7 @@ def test_what_is_not_linear_comes_back_from_noisy_data(term):
     for key, p in zip(keys, model.terms[term].parameters, strict=True):
         start[index_of(model.parameters)[key]] = p.starts[0] if p.starts else 0.0
     terms = [*BASELINE, "sensor_offset"]
-    theta = polished(model, model.prepare(bare), terms, start, keys)
+    theta = refine(model, model.prepare(bare), terms, start, keys)
     for key, (parameter, expected) in zip(keys, SHAPED[term].items(), strict=True):
         assert key.startswith(f"{name}.{parameter}")
         found = theta[index_of(model.parameters)[key]]
@@ -316,10 +316,10 @@ def test_what_is_not_linear_comes_back_from_noisy_data(term):
 def test_torque_constants_that_are_not_known_follow_from_known_masses(bare):
     model = ArmModel(rig(""), bare)
     assert model.fixed == {}
-    assert "torque_constant[0]" in model.never_seen
+    assert "torque_constant[0]" in model.unobservable_terms
     keys = [f"torque_constant[{joint}]" for joint in range(6)]
     start = start_values(model.parameters)
-    theta = polished(model, model.prepare(bare), BASELINE, start, keys)
+    theta = refine(model, model.prepare(bare), BASELINE, start, keys)
     # the last joint carries next to nothing, so nothing says how strong it is
     np.testing.assert_allclose(six(model, theta, "torque_constant")[:5], CONSTANTS[:5], rtol=0.06)
 
@@ -396,18 +396,18 @@ def test_what_is_told_at_coordinates_is_what_drives_the_joints(model, prepared):
     windows, none = Windows.of([(0, len(prepared))]), np.empty((1, 0))
     coordinates = model.coordinates(theta, prepared, windows, none)
     assert coordinates["load_1"].shape == (len(prepared),)
-    effort = model.effort(theta, coordinates)
+    generalised_force = model.generalised_force(theta, coordinates)
     current = simulated(model, theta, prepared) * CONSTANTS
     sure = np.abs(prepared.inputs[:, 6:]) > 0.2
-    np.testing.assert_allclose(effort[sure], current[sure], atol=0.05)
+    np.testing.assert_allclose(generalised_force[sure], current[sure], atol=0.05)
 
 
 def test_a_term_without_its_channel_is_not_offered(bare):
     cold = ArmModel(rig(), acquired(BASELINE, seconds=6.0, warm=False))
     assert "temperature_dependent_friction[3]" not in cold.terms
-    assert cold.never_seen["temperature_dependent_friction[3]"] == "needs joint_temperatures"
+    assert cold.unobservable_terms["temperature_dependent_friction[3]"] == "needs joint_temperatures"
     assert "temperature_dependent_friction[3]" in ArmModel(rig(), bare).terms
-    assert "static_friction" in cold.never_seen
+    assert "static_friction" in cold.unobservable_terms
 
 
 def test_a_model_without_a_record_lists_its_terms(tmp_path):

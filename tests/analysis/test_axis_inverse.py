@@ -122,7 +122,7 @@ def test_what_does_not_push_on_the_mass_is_not_offered(found):
     assert {"viscous_friction", "spring_force", "cogging_torque"} <= set(inverse.terms)
     for key in ("dead_zone", "time_delay", "sensor_gain", "static_friction"):
         assert key not in inverse.terms
-        assert inverse.never_seen[key]
+        assert inverse.unobservable_terms[key]
     with pytest.raises(UsageError, match="axis and ur5"):
         by_inverse_dynamics(model_for(default_rig("ball_beam")))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labhil.diagnose.credence import credence
+from labhil.diagnose.claim_probability import claim_probability
 from labhil.diagnose.evidence import Evidence, independent
 from labhil.identify.table import _wide_enough
 from labhil.physics.terms import Parameter
@@ -16,14 +16,14 @@ def evidence(delta_bic):
 
 
 def test_strong_evidence_that_leaves_nothing_is_nearly_sure():
-    assert credence(evidence(-1000.0), 1.0, 1) > 0.95
+    assert claim_probability(evidence(-1000.0), 1.0, 1) > 0.95
 
 
 def test_what_is_left_and_what_stands_beside_it_make_a_claim_doubtful():
-    alone = credence(evidence(-100.0), 1.0, 1)
-    assert alone > credence(evidence(-100.0), 1.0, 2) > credence(evidence(-100.0), 1.0, 3)
-    assert alone > credence(evidence(-100.0), 1.5, 1) > credence(evidence(-100.0), 2.5, 1)
-    assert credence(evidence(-12.0), 1.0, 1) < alone
+    alone = claim_probability(evidence(-100.0), 1.0, 1)
+    assert alone > claim_probability(evidence(-100.0), 1.0, 2) > claim_probability(evidence(-100.0), 1.0, 3)
+    assert alone > claim_probability(evidence(-100.0), 1.5, 1) > claim_probability(evidence(-100.0), 2.5, 1)
+    assert claim_probability(evidence(-12.0), 1.0, 1) < alone
 
 
 def test_a_profile_that_ends_at_an_edge_reaches_as_far_as_curvature_says():

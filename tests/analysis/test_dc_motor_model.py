@@ -203,7 +203,7 @@ def test_what_is_known_is_not_estimated_and_what_is_missing_is_said():
     assert "added_inertia" not in DcMotorModel(default_rig("dc_motor"), record).terms
     for term, channel in (("cogging_torque", "angle"), ("thermal_resistance", "winding_temperature")):
         assert term not in model.terms
-        assert model.never_seen[term] == f"needs {channel}"
+        assert model.unobservable_terms[term] == f"needs {channel}"
 
 
 def test_from_current_alone_the_speed_is_guessed_by_the_back_emf():

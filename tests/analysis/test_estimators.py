@@ -45,7 +45,7 @@ class Decay:
     terms = MappingProxyType({})
     horizon = 1.0
     metric = Metric.WINDOWED_SIMULATION
-    forgets = False
+    fading_memory = False
 
     def __init__(self, upper: float = np.inf) -> None:
         self.parameters = (

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from labhil.diagnose.begin import data_of
-from labhil.diagnose.telling import excluded
+from labhil.diagnose.statements import excluded
 from labhil.identify.fitted import fit_terms
 from labhil.physics.model import Record
 from labhil.physics.rigs import model_for

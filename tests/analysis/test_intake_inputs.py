@@ -298,11 +298,11 @@ def test_readings_at_the_end_of_a_range_count_one_sidedly():
     assert f"{at.sum()} samples" in found[0].statement
     assert usable(marked, found).fit
 
-    class Beyond(type(model_for(default_rig("dc_motor"), marked))):
+    class CompiledForce(type(model_for(default_rig("dc_motor"), marked))):
         def simulate(self, theta, record, windows, states):
             return record.outputs[windows.rows] + 1.0
 
-    model = Beyond(default_rig("dc_motor"), marked)
+    model = CompiledForce(default_rig("dc_motor"), marked)
     problem = Problem(model, marked, fit_windows(marked, 1.0), np.empty(0, int), np.zeros(1), np.ones(2))
     left = problem.residuals_at(np.zeros(1), problem.guess).reshape(-1, 2)
     assert np.allclose(left[:, 0], np.where(at[problem.windows.rows], 0.0, 1.0))

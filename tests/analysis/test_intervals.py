@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from labhil.diagnose.telling import sum_or_difference
+from labhil.diagnose.statements import sum_or_difference
 from labhil.errors import UnknownNameError
 from labhil.identify.identifiability import Identifiability, identifiability, weak_parameters, what_would_help
 from labhil.identify.intervals import (

@@ -34,7 +34,7 @@ class Straight:
     terms = MappingProxyType({})
     horizon = 1.0
     metric = Metric.WINDOWED_SIMULATION
-    forgets = False
+    fading_memory = False
 
     def horizon_at(self, theta) -> float:
         return self.horizon

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from labhil.diagnose.evidence import Evidence
-from labhil.diagnose.found import Found, Step
 from labhil.diagnose.judge import Data
 from labhil.diagnose.minor import LEAST_SHARE, without_minor
+from labhil.diagnose.search_result import SearchResult, Step
 from labhil.diagnose.structures.enumerate import relevance
 from labhil.diagnose.structures.marginal import View, grams
 from labhil.identify.fitted import fit_terms, start_theta
@@ -46,7 +46,7 @@ def test_what_responses_leave_of_each_output_is_what_least_squares_leave() -> No
     assert seen.acts[:, 1].tolist() == [True, True, False]
 
 
-def found_with(model, record, sizes) -> tuple[Data, Found]:
+def found_with(model, record, sizes) -> tuple[Data, SearchResult]:
     """What a search would have found that named these terms."""
     data = Data(model, record, record, noise_of(record), noise_of(record), WINDOW, start_theta(model))
 
@@ -54,7 +54,7 @@ def found_with(model, record, sizes) -> tuple[Data, Found]:
         return fit_terms(model, record, terms, WINDOW, data.sigma, start=data.begin)
 
     steps = tuple(Step((term,), Evidence(-99.0, 1e-9, 9.0), 1e-9, True) for term in sizes)
-    return data, Found(fit(BASELINE), fit((*BASELINE, *sizes)), steps, (), 1e-9, 2, disturbed=True)
+    return data, SearchResult(fit(BASELINE), fit((*BASELINE, *sizes)), steps, (), 1e-9, 2, disturbed=True)
 
 
 def beside_dry_friction(acquire, noise):

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from labhil.diagnose.adequacy import residual_rms_on, unexplained
 from labhil.diagnose.judge import Data
-from labhil.diagnose.rest import left_over, unexplained
 from labhil.identify.fitted import start_theta
-from labhil.identify.noise import CORRELATIONS, lasting_noise
+from labhil.identify.noise import CORRELATIONS, estimate_coloured_noise
 from labhil.identify.score import score, scored_horizon
 from labhil.identify.windows import noise_of
 from labhil.physics.model import Record
@@ -38,19 +38,19 @@ def noisy(record, correlation, seed=0):
 def test_size_and_correlation_of_noise_are_found(model, still, correlation):
     record = noisy(still, correlation)
     theta = start_theta(model, TRUTH)
-    found = lasting_noise(model, theta, record, noise_of(record))
+    found = estimate_coloured_noise(model, theta, record, noise_of(record))
     assert found.sigma[0] == pytest.approx(LEVEL, rel=0.08)
     assert found.correlation[0] == pytest.approx(correlation, abs=0.08)
-    left = left_over(model, theta, record, found, 1.5)
+    left = residual_rms_on(model, theta, record, found, 1.5)
     assert left[0] == pytest.approx(1.0, abs=0.1)
 
 
 def test_a_motion_that_a_model_lacks_is_no_noise(model, still):
     record = noisy(still, 0.5)
     theta = start_theta(model, {"viscous_friction.coefficient": 0.5})
-    found = lasting_noise(model, theta, record, noise_of(record))
+    found = estimate_coloured_noise(model, theta, record, noise_of(record))
     assert found.sigma[0] < 1.15 * LEVEL
-    assert left_over(model, theta, record, found, 1.5)[0] > 1.5
+    assert residual_rms_on(model, theta, record, found, 1.5)[0] > 1.5
 
 
 def test_correlated_noise_makes_initial_states_worse_and_so_the_floor_higher(model, still):

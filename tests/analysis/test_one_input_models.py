@@ -58,7 +58,7 @@ def test_every_term_is_neutral_at_zero_and_shows_at_its_start(found):
 
 
 def test_terms_are_documented_and_their_starts_lie_within_bounds(found):
-    measure = found.model.yardsticks(found.record)
+    measure = found.model.characteristic_scales(found.record)
     for key, term in found.model.terms.items():
         assert all((term.statement, term.equation, term.source, term.revealed_by)), key
         assert term.parameters, key
@@ -108,7 +108,7 @@ def test_effort_is_the_slope_of_velocity_where_it_moves(found):
     along = found.model.coordinates(found.theta, found.record, windows, found.states[100:101])
     v = along[found.model.state_names[-1 if found.model.kind != "dc_motor" else 0]]
     inertia = {"dc_motor": 0.1, "axis": 95.0, "solenoid": 0.064}[found.model.kind]
-    force = found.model.effort(found.theta, along)
+    force = found.model.generalised_force(found.theta, along)
     assert np.all(force[v == 0.0] == 0.0)
     moves = np.concatenate(([False], v[2:] * v[:-2] > 0.0, [False]))
     assert np.mean(moves) > 0.1
@@ -125,7 +125,7 @@ def test_scales_come_from_the_record_or_are_typical(found):
     few = model_for(default_rig(found.model.kind), stated)
     for key, term in model.terms.items():
         assert key in few.terms or set(term.needs) == set(
-            few.never_seen[key].removeprefix("needs ").split(", ")
+            few.unobservable_terms[key].removeprefix("needs ").split(", ")
         )
 
 
@@ -133,7 +133,7 @@ def test_behind_a_measured_current_there_is_no_amplifier():
     """Its lag is the field's lag to the letter, its play the iron's: only one of each pair has a name."""
     model = model_for(default_rig("solenoid"))
     assert set(AMPLIFIER).isdisjoint(model.terms)
-    assert set(AMPLIFIER) <= set(model.never_seen)
+    assert set(AMPLIFIER) <= set(model.unobservable_terms)
     assert set(AMPLIFIER).isdisjoint(effects_of("solenoid"))
     with pytest.raises(UsageError, match=r"actuator_lag.* the current is measured"):
         terms_named(model, ["viscous_friction", "actuator_lag"])

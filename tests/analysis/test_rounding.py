@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labhil.diagnose.evidence import independent
-from labhil.identify.rounding import Rounding, telling_shares
+from labhil.identify.rounding import Rounding, effective_fractions
 from labhil.physics.model import Record
 
 STEP = 0.02
@@ -55,10 +55,10 @@ def test_a_reading_that_repeats_itself_tells_nothing_new():
     record = Record(0.01 * np.arange(2000), np.zeros_like(ramp), ramp, ("force",), ("position",), ("m",))
     for deviation, least, most in ((0.0, 0.04, 0.06), (0.1, 0.05, 0.5), (0.6, 1.0, 1.0)):
         sigma = np.array([STEP * np.sqrt(deviation**2 + 1.0 / 12.0)])
-        share = telling_shares(replace(record, outputs=rounded(ramp, deviation, random)), sigma).mean()
+        share = effective_fractions(replace(record, outputs=rounded(ramp, deviation, random)), sigma).mean()
         assert least <= share <= most
         white = random.standard_normal((4000, 1))
-        assert independent(white, telling=share) == pytest.approx(4000 * min(share, 1.0), rel=0.05)
+        assert independent(white, effective_fraction=share) == pytest.approx(4000 * min(share, 1.0), rel=0.05)
 
 
 def test_a_channel_at_rest_tells_little_though_noise_flips_its_last_digit():
@@ -68,7 +68,7 @@ def test_a_channel_at_rest_tells_little_though_noise_flips_its_last_digit():
     record = Record(0.01 * np.arange(2000), np.zeros_like(values), values, ("force",), ("position",), ("m",))
     sigma = np.array([STEP * np.sqrt(deviation**2 + 1.0 / 12.0)])
     readings = rounded(values, deviation, random)
-    shares = telling_shares(replace(record, outputs=readings), sigma)
+    shares = effective_fractions(replace(record, outputs=readings), sigma)
     lasting = Rounding.of(readings[:, 0], float(sigma[0]))
     assert lasting is not None
     # a mean of the readings at rest is off by the lasting error, however many there are

@@ -18,8 +18,8 @@ from labhil.identify import statistics
 from labhil.identify.fitted import covariances, fit_terms, start_theta
 from labhil.identify.intervals import bootstrap_intervals
 from labhil.identify.score import score
-from labhil.identify.windows import all_of, fit_windows, noise_of, scored_windows, split, told_apart
-from labhil.physics.extra_force import ExtraForce, Over, Yielding
+from labhil.identify.windows import all_of, fit_windows, noise_of, scored_windows, split, with_noise_scales
+from labhil.physics.extra_force import AcceptsExtraForce, CurveArgument, ExtraForce
 from labhil.physics.model import Record, Windows, index_of, joined, start_values
 from labhil.physics.rigs import model_for
 from labhil.physics.several import for_every_recording, several
@@ -208,7 +208,10 @@ def test_every_recording_is_simulated_by_its_own_model():
         states = model.initial_states(record, chosen)
         along = model.coordinates(theta, record, chosen, states)
         outputs = model.simulate(theta, record, chosen, states)
-        effort, driven_by = model.effort(theta, along), model.driven(theta, record, chosen, along)
+        generalised_force, driven_by = (
+            model.generalised_force(theta, along),
+            model.driven(theta, record, chosen, along),
+        )
         done = 0
         for number, (each, (first, last)) in enumerate(
             zip(record.recordings(), record.spans, strict=True), 1
@@ -225,7 +228,9 @@ def test_every_recording_is_simulated_by_its_own_model():
             here = inner.coordinates(own, each, alone, states[mine])
             for name, values in here.items():
                 assert along[name][rows] == pytest.approx(values, rel=1e-9, abs=1e-12), name
-            assert effort[rows] == pytest.approx(inner.effort(own, here), rel=1e-9, abs=1e-12)
+            assert generalised_force[rows] == pytest.approx(
+                inner.generalised_force(own, here), rel=1e-9, abs=1e-12
+            )
             for name, values in inner.driven(own, each, alone, here).items():
                 assert driven_by[name][rows] == pytest.approx(values, rel=1e-9, abs=1e-12)
 
@@ -234,11 +239,11 @@ def test_every_recording_is_simulated_by_its_own_model():
 def test_a_further_force_acts_in_the_recording_it_is_given_for():
     record = joined([axis(1), axis(2)])
     model = model_for(rig_of("axis"), record)
-    assert isinstance(model, Yielding)
+    assert isinstance(model, AcceptsExtraForce)
     theta, windows = start_theta(model), fit_windows(record, 1.0)
     states = model.initial_states(record, windows)
     course = np.where(np.arange(len(record)) < 900, 0.0, 5.0)
-    pushed = model.with_force(ExtraForce(Over.TIME, np.array([0.0, 1.0]), np.zeros(2), 1.0, course))
+    pushed = model.with_force(ExtraForce(CurveArgument.TIME, np.array([0.0, 1.0]), np.zeros(2), 1.0, course))
     moved = np.abs(
         pushed.simulate(theta, record, windows, states) - model.simulate(theta, record, windows, states)
     )
@@ -463,7 +468,7 @@ def test_a_loud_recording_says_less_than_a_quiet_one():
     errors = []
     for records in ([good], [good, bad]):
         model = model_for(rig_of("axis"), joined(records))
-        record = told_apart(model, joined(records))
+        record = with_noise_scales(model, joined(records))
         found = fit_terms(model, record, TERMS, 1.0, noise_of(record))
         _, classical, _ = covariances(found)
         errors.append(np.sqrt(np.diag(classical)))

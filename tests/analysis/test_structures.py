@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import integrate
 
-from labhil.analysis.material import load_material
+from labhil.analysis.dataset import load_dataset
 from labhil.diagnose.begin import data_of, fit_baseline
 from labhil.diagnose.structures.disturbance import Disturbance
 from labhil.diagnose.structures.marginal import (
@@ -125,7 +125,7 @@ def test_what_one_more_block_promises_is_what_the_evidence_is_with_it() -> None:
 @pytest.mark.extended
 @pytest.mark.timeout(600)
 def test_the_terms_of_a_shipped_recording_are_found() -> None:
-    material = load_material(
+    material = load_dataset(
         ROOT / "recordings" / "ball_beam_identify.mcap", test_path=ROOT / "recordings" / "ball_beam_test.mcap"
     )
     data = data_of(material.model, material.learn, material.judge)

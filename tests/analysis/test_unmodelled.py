@@ -10,17 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labhil.diagnose.found import FittedCurve
+from labhil.diagnose.force_curve import ForceCurve, stated
 from labhil.diagnose.judge import Data
 from labhil.diagnose.refit import refit
+from labhil.diagnose.search_result import FittedCurve
 from labhil.diagnose.structures.curves import CurveSearch
 from labhil.diagnose.structures.disturbance import noise_beside
-from labhil.diagnose.unmodelled import Unmodelled, stated
-from labhil.identify.fitted import Fitted, climb, start_theta
-from labhil.identify.kept_curve import ModelUnderCurves
+from labhil.identify.fitted import Fitted, fit_by_continuation, start_theta
+from labhil.identify.saved_curve import ModelUnderCurves
 from labhil.identify.score import score
 from labhil.identify.windows import fit_windows, noise_of
-from labhil.physics.extra_force import ExtraForce, Over, Yielding
+from labhil.physics.extra_force import AcceptsExtraForce, CurveArgument, ExtraForce
 from labhil.physics.model import Record
 from labhil.physics.rigs import model_for
 from labhil.plants.axis import AxisPlant
@@ -81,7 +81,9 @@ def fitted(rig: str, terms: tuple[str, ...], record: Record, test: Record) -> tu
     window = 0.375 * model.horizon
     data = Data(model, record, test, noise_of(record), noise_of(test), window, begin)
     lengths = [0.5 * window, window, 2.0 * window]
-    return data, climb(model, record, list(terms), lengths, data.sigma, start=begin, fresh=terms)[-1]
+    return data, fit_by_continuation(
+        model, record, list(terms), lengths, data.sigma, start=begin, fresh=terms
+    )[-1]
 
 
 def curve_of(data: Data, final: Fitted, baseline: tuple[str, ...]) -> FittedCurve | None:
@@ -90,13 +92,13 @@ def curve_of(data: Data, final: Fitted, baseline: tuple[str, ...]) -> FittedCurv
     return CurveSearch(data, baseline, noise.correlation).run(final)
 
 
-def unmodelled(data: Data, final: Fitted) -> Unmodelled | None:
+def unmodelled(data: Data, final: Fitted) -> ForceCurve | None:
     """The same as an answer states it, of a fit that names nothing."""
     found = curve_of(data, final, final.terms)
     return None if found is None else stated(data, found)
 
 
-def within(found: Unmodelled, law: Law) -> float:
+def within(found: ForceCurve, law: Law) -> float:
     """Share of the visited range where the plant's own law lies within the band.
 
     But for a constant, which no record tells from the model's own dry friction or constant force.
@@ -118,7 +120,7 @@ def test_a_sticky_patch_is_found_where_it_is() -> None:
     data, final = fitted(AXIS_RIG, AXIS_TERMS, *records)
     found = unmodelled(data, final)
     assert found is not None
-    assert (found.depends_on, found.acts) == (("position", "axis_velocity"), Over.POSITION_AGAINST)
+    assert (found.depends_on, found.acts) == (("position", "axis_velocity"), CurveArgument.POSITION_AGAINST)
     assert within(found, lambda x: 0.3 * np.exp(-0.5 * (x / 0.02) ** 2)) >= 0.9
     assert found.after.rmse <= 1.3 * found.after.noise_floor
     assert found.share >= 0.8
@@ -133,7 +135,7 @@ def test_a_magnet_under_the_beam_is_found_where_it_is() -> None:
     )
     found = unmodelled(data, final)
     assert found is not None
-    assert (found.depends_on, found.acts, found.unit) == (("ball_position",), Over.POSITION, "N")
+    assert (found.depends_on, found.acts, found.unit) == (("ball_position",), CurveArgument.POSITION, "N")
 
     def law(x: FloatArray) -> FloatArray:
         away = (x - 0.05) / 0.02
@@ -185,13 +187,13 @@ def test_nothing_is_found_where_nothing_is(rig: str) -> None:
 # every rig has a kernel with one more force, and compiling one takes half a minute
 @pytest.mark.extended
 @pytest.mark.parametrize("kind", ["ball_beam", "axis", "dc_motor", "solenoid"])
-@pytest.mark.parametrize("acts", [Over.TIME, Over.POSITION])
-def test_no_force_changes_nothing(kind: str, acts: Over) -> None:
+@pytest.mark.parametrize("acts", [CurveArgument.TIME, CurveArgument.POSITION])
+def test_no_force_changes_nothing(kind: str, acts: CurveArgument) -> None:
     """A force that is zero everywhere gives the same numbers to the last bit."""
     case: Case = CASES[kind]
     record = case.simulate(1, False).record
     model = model_for(parse_rig(case.rig, Path("rig.toml")), record)
-    assert isinstance(model, Yielding)
+    assert isinstance(model, AcceptsExtraForce)
     theta = start_theta(model, case.truth)
     windows = fit_windows(record, 0.4 * model.horizon)
     states = model.initial_states(record, windows)
@@ -218,7 +220,7 @@ def test_a_magnet_beside_a_shaft_is_found_though_nothing_tells_the_angle() -> No
     data, final = fitted('[rig]\nkind = "dc_motor"\n', ("viscous_friction",), search, test)
     found = unmodelled(data, final)
     assert found is not None
-    assert (found.depends_on, found.acts) == (("shaft_angle",), Over.POSITION)
+    assert (found.depends_on, found.acts) == (("shaft_angle",), CurveArgument.POSITION)
     assert found.share >= 0.9
     kept = ModelUnderCurves(data.model, [found.kept])
     assert kept.state_names == ("shaft_velocity", "current", "shaft_angle")

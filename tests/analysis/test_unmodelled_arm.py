@@ -13,20 +13,20 @@ import pytest
 
 from labhil.analysis.kept_curve import curves_json, under_kept_curve
 from labhil.analysis.results import diagnosis_json
+from labhil.diagnose.adequacy import residual_rms, unexplained
 from labhil.diagnose.begin import data_of, fit_baseline
 from labhil.diagnose.diagnosis import diagnose
-from labhil.diagnose.found import Found
+from labhil.diagnose.force_curve import ForceCurve
 from labhil.diagnose.joint_curves import joint_curves
 from labhil.diagnose.judge import Data
-from labhil.diagnose.rest import left_by, unexplained
-from labhil.diagnose.unmodelled import Unmodelled
+from labhil.diagnose.search_result import SearchResult
 from labhil.errors import ModelFileError
 from labhil.identify.fitted import Fitted, start_theta
-from labhil.identify.kept_curve import ModelUnderCurves
+from labhil.identify.saved_curve import ModelUnderCurves
 from labhil.identify.score import score
 from labhil.kinds import JOINTS
 from labhil.physics.arm import ArmModel
-from labhil.physics.extra_force import ExtraForce, Over
+from labhil.physics.extra_force import CurveArgument, ExtraForce
 from labhil.physics.model import Record, Windows, terms_named
 from labhil.report.plots import diagnosis_plot
 from labhil.rig import parse_rig
@@ -82,28 +82,28 @@ def searched(*records: Record) -> tuple[Data, Fitted]:
     return data, fit_baseline(data, [term.key for term in terms_named(model, arm.TERMS)])
 
 
-def curves_of(data: Data, base: Fitted) -> tuple[Unmodelled, ...]:
-    return joint_curves(data, Found(base, base, (), (), 1.0, 1))
+def curves_of(data: Data, base: Fitted) -> tuple[ForceCurve, ...]:
+    return joint_curves(data, SearchResult(base, base, (), (), 1.0, 1))
 
 
-def within(found: Unmodelled, law: Law) -> float:
+def within(found: ForceCurve, law: Law) -> float:
     """Share of the visited range where the law lies within the band, but for what is an offset of it."""
     truth = law(found.x)
     truth = truth + np.mean(found.value - truth)
     return float(np.mean((truth >= found.low) & (truth <= found.high)))
 
 
-def excess(found: Unmodelled) -> float:
+def excess(found: ForceCurve) -> float:
     """RMSE of its joint after, over the noise floor."""
     (channel,) = (c for c in found.after.channels if c.joint == found.joint)
     return channel.rmse / channel.noise_floor
 
 
 @cache
-def both() -> tuple[Data, tuple[Unmodelled, ...]]:
+def both() -> tuple[Data, tuple[ForceCurve, ...]]:
     """What is found of an arm with a patch in joint 5 and a spring at joint 2."""
     data, base = searched(*(sprung(rubbed(plain(seed), 5), 2) for seed in (1, 2)))
-    assert unexplained(data, left_by(data, base))
+    assert unexplained(data, residual_rms(data, base))
     return data, curves_of(data, base)
 
 
@@ -111,8 +111,11 @@ def test_each_torque_is_found_on_its_joint_within_its_band() -> None:
     _, curves = both()
     found = {curve.joint: curve for curve in curves}
     assert set(found) == {2, 5}
-    assert (found[5].depends_on, found[5].acts) == (("actual_q_5", "actual_qd_5"), Over.POSITION_AGAINST)
-    assert (found[2].depends_on, found[2].acts) == (("actual_q_2",), Over.POSITION)
+    assert (found[5].depends_on, found[5].acts) == (
+        ("actual_q_5", "actual_qd_5"),
+        CurveArgument.POSITION_AGAINST,
+    )
+    assert (found[2].depends_on, found[2].acts) == (("actual_q_2",), CurveArgument.POSITION)
     assert within(found[5], patch) >= 0.9
     assert within(found[2], spring) >= 0.9
     for curve in curves:
@@ -123,7 +126,7 @@ def test_each_torque_is_found_on_its_joint_within_its_band() -> None:
 
 def test_nothing_is_found_where_nothing_is() -> None:
     data, base = searched(plain(1), plain(2))
-    assert not unexplained(data, left_by(data, base))
+    assert not unexplained(data, residual_rms(data, base))
     assert curves_of(data, base) == ()
 
 
@@ -173,19 +176,27 @@ def test_a_curve_on_no_joint_of_the_arm_is_refused(joint: int | None, tmp_path: 
         under_kept_curve(ArmModel(RIG), path)
 
 
-@pytest.mark.parametrize("acts", [Over.POSITION, Over.POSITION_AGAINST, Over.DAMPING, Over.SPEED_AGAINST])
-def test_a_torque_acts_on_its_joint_alone_beside_those_before(acts: Over) -> None:
+@pytest.mark.parametrize(
+    "acts",
+    [
+        CurveArgument.POSITION,
+        CurveArgument.POSITION_AGAINST,
+        CurveArgument.DAMPING,
+        CurveArgument.SPEED_AGAINST,
+    ],
+)
+def test_a_torque_acts_on_its_joint_alone_beside_those_before(acts: CurveArgument) -> None:
     record = plain(1)
     model = ArmModel(RIG, record)
     theta, windows, states = start_theta(model), Windows.of(record.spans), np.empty((1, 0))
-    of = "actual_qd_4" if acts is Over.SPEED_AGAINST else "actual_q_4"
+    of = "actual_qd_4" if acts is CurveArgument.SPEED_AGAINST else "actual_q_4"
     force = ExtraForce(acts, np.linspace(-9.0, 9.0, 5), np.full(5, 0.3), 1.0, of=of, joint=4)
     once = model.with_force(force)
     base, one, two = (
         each.simulate(theta, record, windows, states) for each in (model, once, once.with_force(force))
     )
     qd = record.inputs[:, JOINTS + 4]
-    along = {Over.POSITION: 1.0, Over.DAMPING: -qd}.get(acts, -np.sign(qd))
+    along = {CurveArgument.POSITION: 1.0, CurveArgument.DAMPING: -qd}.get(acts, -np.sign(qd))
     expected = np.zeros_like(base)
     expected[:, 4] = -0.3 * along / arm.CONSTANTS[4]
     np.testing.assert_allclose(one - base, expected, atol=1e-12)

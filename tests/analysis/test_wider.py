@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from labhil.diagnose.augmented import adds_beyond_doubt, goes_elsewhere
 from labhil.diagnose.begin import data_of
 from labhil.diagnose.evidence import Evidence
-from labhil.diagnose.found import Step
-from labhil.diagnose.wider import adds_beyond_doubt, goes_elsewhere
+from labhil.diagnose.search_result import Step
 from labhil.physics.model import Record
 from labhil.physics.rigs import model_for
 from labhil.rig import default_rig

@@ -20,15 +20,15 @@ from labhil.campaign.trials.judge import judge
 from labhil.campaign.trials.make import Order, answers_beside, make_trials
 from labhil.campaign.trials.noise import TrueNoise
 from labhil.campaign.trials.run import run_trials
-from labhil.campaign.trials.said import said_in
 from labhil.campaign.trials.score import score_trials
 from labhil.campaign.trials.seal import open_envelope, write_envelope
 from labhil.campaign.trials.secret import Secret
 from labhil.campaign.trials.show import show
+from labhil.campaign.trials.stated_answer import stated_answer_in
 from labhil.campaign.trials.truth import model_values
 from labhil.diagnose.contradiction import structure_p_value
 from labhil.identify.fitted import covariances, fit_terms
-from labhil.identify.noise import lasting_noise
+from labhil.identify.noise import estimate_coloured_noise
 from labhil.identify.windows import noise_of
 from labhil.physics.arm.motion import LowPass
 from labhil.physics.rigs import model_for
@@ -67,7 +67,7 @@ def answer(*effects):
 def said(*claims):
     missing = [{"term": term, "joint": joint, "probability": 0.9} for term, joint in claims]
     located = {"joint": claims[0][1], "regimes": []}
-    return said_in(
+    return stated_answer_in(
         {
             "schema": "labhil.diagnosis/1",
             "verdict": "missing_physics",
@@ -186,7 +186,7 @@ def null():
 def test_the_noise_of_an_arm_is_read_from_what_its_model_leaves(null):
     oracle = null.oracle
     refit = oracle.refit(BASELINE)
-    stated = lasting_noise(oracle.model, refit.theta, oracle.test, noise_of(oracle.test)).sigma
+    stated = estimate_coloured_noise(oracle.model, refit.theta, oracle.test, noise_of(oracle.test)).sigma
     assert stated == pytest.approx(oracle.left.rms, rel=0.15)
 
 

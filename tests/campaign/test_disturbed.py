@@ -13,7 +13,7 @@ from labhil.campaign.trials.compose import Composed, answer_of, compose
 from labhil.campaign.trials.disturbed import LASTS, SIZES, Disturbance, Kind
 from labhil.campaign.trials.judge import judge
 from labhil.campaign.trials.make import Order, answers_beside, make_trials
-from labhil.campaign.trials.said import Said
+from labhil.campaign.trials.stated_answer import StatedAnswer
 from labhil.errors import UsageError
 
 
@@ -72,12 +72,12 @@ def test_a_mismatch_without_a_name_is_no_false_alarm_where_something_disturbs(an
         raise AssertionError
 
     alarms = {
-        verdict: judge(answer, Said(verdict), never).alarm
+        verdict: judge(answer, StatedAnswer(verdict), never).alarm
         for verdict in ("no_mismatch", "unexplained_mismatch", "missing_physics")
     }
     assert alarms == {"no_mismatch": False, "unexplained_mismatch": False, "missing_physics": True}
     calm = replace(answer, conditions={})
-    assert judge(calm, Said("unexplained_mismatch"), never).alarm
+    assert judge(calm, StatedAnswer("unexplained_mismatch"), never).alarm
 
 
 @pytest.mark.parametrize(("rig", "word"), [("dc_motor", "wind"), ("ur5", "force")])

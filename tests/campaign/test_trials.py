@@ -24,14 +24,14 @@ from labhil.campaign.trials.noise import TrueNoise
 from labhil.campaign.trials.plot import plot
 from labhil.campaign.trials.regime import agreement, inside, level_set
 from labhil.campaign.trials.run import run_trials
-from labhil.campaign.trials.said import Regime, said_in
 from labhil.campaign.trials.score import score_trials
 from labhil.campaign.trials.seal import open_envelope, seal, write_envelope
 from labhil.campaign.trials.secret import Drawn, Secret
+from labhil.campaign.trials.stated_answer import Regime, stated_answer_in
 from labhil.cli import app
 from labhil.errors import UnknownNameError, UsageError
-from labhil.identify.fitted import climb, start_theta
-from labhil.identify.window_states import held_at
+from labhil.identify.fitted import fit_by_continuation, start_theta
+from labhil.identify.window_states import estimate_states_at
 from labhil.identify.windows import fit_windows
 from labhil.physics.rigs import rig_model
 from labhil.recording.reader import read_recording
@@ -69,7 +69,7 @@ def rival(term, instead_of, probability=0.1):
 def said(*terms, verdict="missing_physics", rivals=(), **more):
     items = [one_item(term) for term in terms]
     final = {"terms": ["viscous_friction", *terms], "parameters": more.pop("parameters", [])}
-    return said_in(
+    return stated_answer_in(
         {**NOTHING, "verdict": verdict, "missing": items, "rivals": list(rivals), "final": final, **more}
     )
 
@@ -301,7 +301,7 @@ def test_a_failing_diagnosis_is_recorded(tmp_path):
     result = run.diagnose_trial(tmp_path, "001")
     assert result["verdict"] is None
     assert "RecordingError" in result["error"]
-    assert said_in(result).verdict is None
+    assert stated_answer_in(result).verdict is None
 
 
 def test_a_diagnosis_opens_no_envelope(tmp_path):
@@ -386,7 +386,7 @@ def test_what_no_name_fits_is_right_as_unmodelled():
 
 
 def test_a_failure_counts_as_nothing_found():
-    failed = said_in({"verdict": None, "error": "KeyError", "seconds": 1.0})
+    failed = stated_answer_in({"verdict": None, "error": "KeyError", "seconds": 1.0})
     card = count([judge(answer(effect("dead_zone")), failed, lossless)], "ball_beam", False)
     assert card.failures == 1
     assert card.naming["one effect"]["any"] == Share(0, 1)
@@ -504,7 +504,9 @@ def test_an_oracle_learns_from_whole_recordings():
     refit = oracle.refit(baseline)
     truth = start_theta(oracle.model, oracle.values)
     lengths = [0.5 * oracle.horizon, 1.5 * oracle.horizon]
-    cut = climb(oracle.model, oracle.search, baseline, lengths, oracle.sigma, start=truth, fresh=())[-1]
+    cut = fit_by_continuation(
+        oracle.model, oracle.search, baseline, lengths, oracle.sigma, start=truth, fresh=()
+    )[-1]
     assert refit.likelihood > oracle.log_likelihood(cut.theta)
     # four parameters, each worth half a nat on average, of noise with neighbours that are alike
     assert refit.likelihood > oracle.log_likelihood(truth) - 20.0
@@ -516,7 +518,7 @@ def test_an_oracle_finds_the_right_minimum_of_a_ball_that_sticks(seed):
     setup = bench_of("ball_beam").setup(random)
     bare = Secret(setup, setup.draw_base(random))
     sticks = Drawn("static_friction", {"static_friction.level": 0.08}, {"static_friction.level": 1}, 3.0)
-    oracle = composed(replace(bare, effects=(sticks,)), setup.loudness(bare)).oracle
+    oracle = composed(replace(bare, effects=(sticks,)), setup.noise_scale(bare)).oracle
     truth = oracle.log_likelihood(start_theta(oracle.model, oracle.values))
     baseline = rig_model("ball_beam").baseline
     assert oracle.refit([*baseline, "static_friction"]).likelihood > truth - 30.0
@@ -528,10 +530,10 @@ def test_a_rig_stands_at_the_centre_of_its_excitation_before_it_is_recorded():
     setup = bench_of("solenoid").setup(random)
     bare = Secret(setup, setup.draw_base(random))
     delay = Drawn("time_delay", {"time_delay.delay": 0.012}, {"time_delay.delay": 1}, 3.0)
-    oracle = composed(replace(bare, effects=(delay,)), setup.loudness(bare)).oracle
+    oracle = composed(replace(bare, effects=(delay,)), setup.noise_scale(bare)).oracle
     # what a delay holds as a recording begins is as recorded: else the first window is off by far more
     theta, windows = start_theta(oracle.model, oracle.values), fit_windows(oracle.search, oracle.horizon)
-    found = held_at(oracle.model, theta, oracle.search, windows, oracle.sigma)
+    found = estimate_states_at(oracle.model, theta, oracle.search, windows, oracle.sigma)
     assert np.sqrt(np.mean(found.residuals**2)) < 2.0
 
 

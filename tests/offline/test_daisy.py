@@ -74,9 +74,9 @@ def test_the_gain_stands_on_windows_of_one_and_two_seconds(labhil, recording, wi
 
 
 def test_the_second_half_is_held_out_after_a_gap(labhil, recording):
-    from labhil.analysis.material import load_material
+    from labhil.analysis.dataset import load_dataset
 
-    material = load_material(recording, holdout=0.5)
+    material = load_dataset(recording, holdout=0.5)
     assert material.judge.t[0] == pytest.approx(49.95, abs=0.11)
     assert material.judge.t[0] - material.learn.t[-1] >= 4.0
     assert material.judge.t[-1] == pytest.approx(99.9)

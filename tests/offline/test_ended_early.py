@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from labhil.analysis.material import Material, load_material
+from labhil.analysis.dataset import Dataset, load_dataset
 from labhil.analysis.study import diagnose_study, fit_study
 from labhil.console import STDOUT, deliver
 from labhil.ending import Deadline, EndedEarly, checkpoint
@@ -24,12 +24,12 @@ LABHIL = [sys.executable, "-P", "-m", "labhil"]
 
 
 @pytest.fixture(scope="module")
-def material() -> Material:
-    return load_material([RECORDING], span=(0.0, 20.0))
+def material() -> Dataset:
+    return load_dataset([RECORDING], span=(0.0, 20.0))
 
 
 @pytest.mark.parametrize("moment", ["fitting", "looking for other", "looking for lower", "statistics"])
-def test_a_fit_that_is_ended_early_gives_the_best_so_far(material: Material, moment: str) -> None:
+def test_a_fit_that_is_ended_early_gives_the_best_so_far(material: Dataset, moment: str) -> None:
     with Deadline() as deadline:
 
         def progress(text: str) -> None:
@@ -44,9 +44,7 @@ def test_a_fit_that_is_ended_early_gives_the_best_so_far(material: Material, mom
 
 
 @pytest.mark.parametrize("moment", ["fitting the baseline", "evidence of all"])
-def test_a_diagnosis_that_is_ended_early_claims_no_more_than_it_tried(
-    material: Material, moment: str
-) -> None:
+def test_a_diagnosis_that_is_ended_early_claims_no_more_than_it_tried(material: Dataset, moment: str) -> None:
     with Deadline() as deadline:
 
         def progress(text: str) -> None:

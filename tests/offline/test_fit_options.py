@@ -45,7 +45,7 @@ def test_a_fit_looks_for_faults_of_the_data_once(monkeypatch, shipped):
         looks.append(what)
         return all_faults(*what)
 
-    monkeypatch.setattr("labhil.analysis.material.all_faults", counted)
+    monkeypatch.setattr("labhil.analysis.dataset.all_faults", counted)
     recording = shipped / "ball_beam_identify.mcap"
     done = CliRunner().invoke(app, ["fit", str(recording), *TERMS, "--span", "0", "20"])
     assert done.exit_code == 0, done.output

@@ -12,10 +12,10 @@ from labhil.analysis.kept_curve import curves_json, under_kept_curve
 from labhil.errors import ModelFileError
 from labhil.identify.extended import Coordinate
 from labhil.identify.fitted import start_theta
-from labhil.identify.kept_curve import KeptCurve, ModelUnderCurves
+from labhil.identify.saved_curve import ModelUnderCurves, SavedCurve
 from labhil.identify.windows import fit_windows
 from labhil.physics.axis import AxisModel
-from labhil.physics.extra_force import Over
+from labhil.physics.extra_force import CurveArgument
 from labhil.physics.model import Record
 from labhil.physics.rigs import model_for
 from labhil.plants.axis import AxisPlant
@@ -33,22 +33,24 @@ def bench(n: int = 1500) -> Record:
     return Record(t, force[:, None], x[:, None], ("drive_force",), ("position",), ("m",), (Hold.ZERO,))
 
 
-def kept(acts: Over, name: str, record: Record) -> KeptCurve:
-    values = record.outputs[:, 0] if acts is Over.POSITION else record.inputs[:, 0]
+def kept(acts: CurveArgument, name: str, record: Record) -> SavedCurve:
+    values = record.outputs[:, 0] if acts is CurveArgument.POSITION else record.inputs[:, 0]
     x = np.linspace(values.min(), values.max(), 101)
     value = 8.0 * np.sin(5.0 * x / np.ptp(x))
-    return KeptCurve(Coordinate(name, "m", acts, AxisModel.moved[0]), x, value, value - 1.0, value + 1.0, "N")
+    return SavedCurve(
+        Coordinate(name, "m", acts, AxisModel.moved[0]), x, value, value - 1.0, value + 1.0, "N"
+    )
 
 
 def of_rig(record: Record) -> ModelUnderCurves:
     model = model_for(parse_rig(RIG, Path("rig.toml")), record)
-    return ModelUnderCurves(model, [kept(Over.POSITION, "position", record)])
+    return ModelUnderCurves(model, [kept(CurveArgument.POSITION, "position", record)])
 
 
 @pytest.mark.extended
 def test_force_over_an_input_is_that_input_with_the_force_added() -> None:
     record = bench()
-    curve = kept(Over.TIME, "drive_force", record)
+    curve = kept(CurveArgument.TIME, "drive_force", record)
     model = model_for(parse_rig(RIG, Path("rig.toml")), record)
     windows = fit_windows(record, 2.0)
     states = model.initial_states(record, windows)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labhil.analysis.material import load_material
+from labhil.analysis.dataset import load_dataset
 from labhil.recording.writer import RecordingWriter
 from labhil.signals import Batch, Direction, Signal, Stream
 
@@ -61,7 +61,7 @@ def test_the_run_that_is_chosen_is_taken(labhil, two_runs: Path, tmp_path: Path)
     for run, count in enumerate(COUNTS, 1):
         assert labhil("export", "two.mcap", "-o", "out.csv", "--run", run).status == 0
         assert len((tmp_path / "out.csv").read_text().splitlines()) == count + 1
-        assert len(load_material(two_runs, run=run).measured) == count
+        assert len(load_dataset(two_runs, run=run).measured) == count
         assert labhil("report", "two.mcap", "-o", f"{run}.html", "--run", run).status == 0
         assert f"{(count - 1) / 100}" in (tmp_path / f"{run}.html").read_text(encoding="utf-8")
 
@@ -70,5 +70,5 @@ def test_one_run_among_others_is_taken_as_it_is(two_runs: Path, labhil, tmp_path
     assert labhil("export", "two.mcap", "-o", "one.csv", "--run", "1").status == 0
     (tmp_path / "rig.toml").write_text(RIG)
     assert labhil("import", "one.csv", "--rig", "rig.toml", "-o", "one.mcap").status == 0
-    material = load_material(two_runs, test_path=tmp_path / "one.mcap", run=2)
+    material = load_dataset(two_runs, test_path=tmp_path / "one.mcap", run=2)
     assert len(material.measured) == COUNTS[1]

@@ -98,11 +98,11 @@ def test_the_json_of_a_fit_is_the_contracts(fit, shipped):
 
 
 def test_r2_is_one_less_the_share_of_squares_that_is_left(fit, shipped):
-    from labhil.analysis.material import load_material
+    from labhil.analysis.dataset import load_dataset
     from labhil.analysis.study import fit_study
     from labhil.identify.fit import Options
 
-    material = load_material(shipped / "ball_beam_identify.mcap", test_path=shipped / "ball_beam_test.mcap")
+    material = load_dataset(shipped / "ball_beam_identify.mcap", test_path=shipped / "ball_beam_test.mcap")
     score = fit_study(material, terms=("viscous_friction",), options=Options(window=1.0)).fit.test
     measured = material.judge.outputs[score.rows, 0]
     left = np.sum(score.errors[:, 0] ** 2) / np.sum((measured - measured.mean()) ** 2)

@@ -7,7 +7,7 @@ from subprocess import DEVNULL, Popen
 import numpy as np
 import pytest
 
-from labhil.analysis.material import load_material
+from labhil.analysis.dataset import load_dataset
 from labhil.analysis.study import fit_study
 from labhil.experiment.experiment import parse_experiment
 from labhil.experiment.run import run_experiment
@@ -72,7 +72,7 @@ def test_a_run_beside_busy_processes_is_fitted_with_what_the_twin_is_made_of(tmp
     assert all(fault.kind is not ClockFaultKind.NO_CLOCK for fault in data.clock_faults)
     if data.clock.drift_error is not None and not data.clock.steps:
         assert data.clock.drift == pytest.approx(50e-6, abs=max(5.0 * data.clock.drift_error, 20e-6))
-    found = fit_study(load_material(result.path), terms=("viscous_friction", "coulomb_friction")).fit
+    found = fit_study(load_dataset(result.path), terms=("viscous_friction", "coulomb_friction")).fit
     rows = {row.name: row for row in found.estimates}
     for name, truth in TRUTH.items():
         assert abs(rows[name].value - truth) < 4.0 * rows[name].std_error, name

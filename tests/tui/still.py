@@ -9,8 +9,8 @@ from labhil.bus.latch import Latch
 from labhil.service.emergency import Outcome
 from labhil.signals import Batch, Direction, Hold, Signal, Stream
 from labhil.tui.lab import Place
-from labhil.tui.stream_watch import Beat, StreamWatch
-from labhil.tui.watch import DeviceView, Said
+from labhil.tui.stream_watch import StreamHealth, StreamWatch
+from labhil.tui.watch import Announcement, DeviceView
 
 NOW_NS = 1_790_000_000_000_000_000
 ENDPOINT = "tcp/127.0.0.1:40123"
@@ -31,7 +31,7 @@ class StillLab:
 
     def __init__(self, *, empty: bool = False) -> None:
         self._empty = empty
-        self.trouble = ""
+        self.fault = ""
         self.replay: ReplayMessage | None = None
         self.latch: Latch | None = None
         self._bench = StreamWatch(STATE, 1.0, {"plugin": "ball_beam"})
@@ -45,11 +45,11 @@ class StillLab:
     def devices(self) -> list[tuple[str, DeviceView]]:
         if self._empty:
             return []
-        good = Beat(99.98, 0.004, False, 0, 2000, 0.0006, 0.0021)
-        late = Beat(None, 2.3, True, 14, 812, None, None)
+        good = StreamHealth(99.98, 0.004, False, 0, 2000, 0.0006, 0.0021)
+        late = StreamHealth(None, 2.3, True, 14, 812, None, None)
         told = {"plugin": "ball_beam", "address": "/dev/ttyACM0", "firmware": "1.4.0", "serial": "BB-0007"}
-        leased = Said(NOW_NS - 12_000_000_000, "bench", "leased", "lease taken by 'run two-sine'")
-        quiet = Said(NOW_NS - 2_300_000_000, "spare", "quiet", "the device sends no samples")
+        leased = Announcement(NOW_NS - 12_000_000_000, "bench", "leased", "lease taken by 'run two-sine'")
+        quiet = Announcement(NOW_NS - 2_300_000_000, "spare", "quiet", "the device sends no samples")
         run = "run two-sine-identify"
         return [
             (
@@ -79,14 +79,16 @@ class StillLab:
         change = {"paused": action == "pause"} if action in ("pause", "play") else {"speed": value}
         self.replay = self.replay.model_copy(update=change)
 
-    def events(self) -> list[Said]:
+    def events(self) -> list[Announcement]:
         if self._empty:
             return []
         return [
-            Said(NOW_NS - 13_000_000_000, "run", "starting", "starting"),
-            Said(NOW_NS - 12_000_000_000, "bench", "leased", "lease taken by 'run two-sine-identify'"),
-            Said(NOW_NS - 12_000_000_000, "run", "running", "all devices are connected"),
-            Said(
+            Announcement(NOW_NS - 13_000_000_000, "run", "starting", "starting"),
+            Announcement(
+                NOW_NS - 12_000_000_000, "bench", "leased", "lease taken by 'run two-sine-identify'"
+            ),
+            Announcement(NOW_NS - 12_000_000_000, "run", "running", "all devices are connected"),
+            Announcement(
                 NOW_NS - 1_000_000_000,
                 "spare",
                 "tripped",

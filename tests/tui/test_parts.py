@@ -16,8 +16,8 @@ from labhil.campaign.studies.jobs import Jobs
 from labhil.campaign.studies.process import Helper
 from labhil.campaign.studies.study import Task, free_name
 from labhil.signals import Batch, Direction, Signal, Stream
+from labhil.tui.recording_library import RecordingLibrary, experiments, results
 from labhil.tui.ring import Ring, envelope, pieces
-from labhil.tui.shelf import Shelf, experiments, results
 from labhil.tui.stream_watch import StreamWatch
 from labhil.tui.ticks import labels, limits_of, round_step, ticks
 
@@ -91,7 +91,7 @@ def test_a_stream_that_stops_is_silent_and_its_gaps_are_counted() -> None:
 
 def test_a_folder_lists_recordings_experiments_and_results(folder: Path) -> None:
     (folder / "broken.mcap").write_bytes(b"no recording")
-    *_, shelved = Shelf(folder).look()
+    *_, shelved = RecordingLibrary(folder).look()
     by_name = {one.path.name: one for one in shelved}
     good = by_name["ball_beam_identify.mcap"]
     assert (good.status, good.rig, good.gaps) == ("done", "ball_beam", 0)

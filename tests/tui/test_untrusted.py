@@ -18,7 +18,7 @@ from labhil.tui.lab import Place
 from labhil.tui.live import LivePane
 from labhil.tui.stream_watch import StreamWatch
 from labhil.tui.ticks import limits_of
-from labhil.tui.watch import DeviceView, Said
+from labhil.tui.watch import Announcement, DeviceView
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -31,7 +31,7 @@ class HostileLab(StillLab):
     """The same devices, all of whose words are markup."""
 
     def devices(self) -> list[tuple[str, DeviceView]]:
-        said = Said(NOW_NS, HOSTILE, HOSTILE, HOSTILE)
+        said = Announcement(NOW_NS, HOSTILE, HOSTILE, HOSTILE)
         stream = replace(STATE, signals=tuple(replace(s, description=HOSTILE) for s in STATE.signals))
         return [
             (endpoint, replace(
@@ -45,8 +45,8 @@ class HostileLab(StillLab):
         signal = Signal("ball_position", "m", Direction.OUTPUT, description=HOSTILE)
         return [Place(ENDPOINT, HOSTILE, "state", signal), Place(ENDPOINT, "b[/]", "state", STATE.signals[1])]
 
-    def events(self) -> list[Said]:
-        return [Said(NOW_NS, HOSTILE, HOSTILE, HOSTILE)]
+    def events(self) -> list[Announcement]:
+        return [Announcement(NOW_NS, HOSTILE, HOSTILE, HOSTILE)]
 
 
 def test_words_from_outside_are_no_markup_on_any_screen(folder: Path) -> None:
@@ -60,7 +60,7 @@ def test_words_from_outside_are_no_markup_on_any_screen(folder: Path) -> None:
 
     async def drive() -> None:
         lab = HostileLab()
-        lab.trouble = HOSTILE
+        lab.fault = HOSTILE
         app = LabApp(folder, lab)  # type: ignore[arg-type]
         async with app.run_test(size=(120, 40)) as pilot:
             for key in "12345":

@@ -16,9 +16,9 @@ import pytest
 from labhil.errors import CommandRefusedError, ConnectError, MissingExtraError, ProtocolError
 from labhil.testing import DriverContract
 from labhil_ur5 import Ur5Cb3Driver, Ur5Driver
+from labhil_ur5.fault import said_of
 from labhil_ur5.motion import MotionState
 from labhil_ur5.rtde import Packages
-from labhil_ur5.trouble import said_of
 
 PROGRAM = """
 import sys
@@ -104,7 +104,7 @@ def latest(driver, name):
 def until(driver, reached, command=None):
     deadline = time.monotonic() + PATIENCE
     while not reached():
-        assert time.monotonic() < deadline, driver.trouble()
+        assert time.monotonic() < deadline, driver.fault()
         if command is not None:
             driver.command(command)
         driver.read(0.01)
@@ -150,11 +150,11 @@ def test_a_client_that_dies_is_replaced_while_samples_go_on(twin) -> None:
         until(driver, lambda: driver._motion.state is MotionState.MOVING, {"target_q_0": q[0] + 0.5})
         os.kill(driver._motion.pid, signal.SIGKILL)
         before = driver.read(0.5).seq[-1]
-        until(driver, lambda: "client was lost" in driver.trouble())
+        until(driver, lambda: "client was lost" in driver.fault())
         # the arm is stopped by the controller's watchdog, or by the dashboard
         until(driver, lambda: bool(np.all(np.abs(latest(driver, "target_qd")) < STILL)))
         assert abs(latest(driver, "target_q")[0] - q[0]) < 0.4
-        until(driver, lambda: driver.trouble() == "")
+        until(driver, lambda: driver.fault() == "")
         assert driver.read(0.5).seq[-1] > before + 100
         assert driver.counters.resets == 1
         assert driver._motion.starts == 2
@@ -168,8 +168,8 @@ def test_a_client_that_hangs_is_replaced(twin) -> None:
         q = latest(driver, "target_q")
         until(driver, lambda: driver._motion.state is MotionState.IDLE, {"target_q_0": q[0]})
         os.kill(driver._motion.pid, signal.SIGSTOP)
-        until(driver, lambda: "said nothing" in driver.trouble())
-        until(driver, lambda: driver.trouble() == "")
+        until(driver, lambda: "said nothing" in driver.fault())
+        until(driver, lambda: driver.fault() == "")
         assert driver._motion.starts == 2
 
 

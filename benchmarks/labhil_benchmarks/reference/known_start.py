@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from labhil.physics.model import Metric, Model, Record, Windows
-from labhil.physics.terms import Parameter, Term, Yardstick
+from labhil.physics.terms import CharacteristicScale, Parameter, Term
 from labhil.signals import FloatArray
 
 
@@ -49,9 +49,9 @@ class KnownStart:
         return self._model.fixed
 
     @property
-    def never_seen(self) -> Mapping[str, str]:
+    def unobservable_terms(self) -> Mapping[str, str]:
         """Terms that no recording of this rig can show, with the reason."""
-        return self._model.never_seen
+        return self._model.unobservable_terms
 
     @property
     def metric(self) -> Metric:
@@ -59,9 +59,9 @@ class KnownStart:
         return self._model.metric
 
     @property
-    def forgets(self) -> bool:
+    def fading_memory(self) -> bool:
         """Whether its state forgets how it began."""
-        return self._model.forgets
+        return self._model.fading_memory
 
     @property
     def horizon(self) -> float:
@@ -105,9 +105,9 @@ class KnownStart:
         """Generalised force that the model exerts at these coordinates, (N,)."""
         return self._model.effort(theta, coordinates)
 
-    def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
+    def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
         """What the starts of parameters are fractions of, in this record."""
-        return self._model.yardsticks(record)
+        return self._model.characteristic_scales(record)
 
     def _known(self, windows: Windows) -> FloatArray:
         return np.tile(self._state, (len(windows), 1))

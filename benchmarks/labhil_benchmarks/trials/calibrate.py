@@ -1,7 +1,7 @@
 """``labhil trial calibrate``: how probable a claim is, fitted to trials whose answers are open.
 
 A logistic regression of whether a claim was right on what a diagnosis knows of itself: see
-``labhil.diagnose.credence``.
+``labhil.diagnose.claim_probability``.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from labhil.campaign.trials.answer import Answer
 from labhil.campaign.trials.folder import Results, read_index, read_object
 from labhil.campaign.trials.judge import NULL_GAIN, fits
 from labhil.campaign.trials.make import answers_beside
-from labhil.campaign.trials.said import SCHEMA, read_said
 from labhil.campaign.trials.score import opened
-from labhil.diagnose.credence import WEIGHTS, features
+from labhil.campaign.trials.stated_answer import SCHEMA, read_stated_answer
+from labhil.diagnose.claim_probability import WEIGHTS, features
 from labhil.errors import UsageError
 from labhil.physics.model import Metric
 from labhil.signals import FloatArray
@@ -62,7 +62,7 @@ def claimed_in(folder: Path) -> list[Claimed]:
 
 
 def _claims(answer: Answer, path: Path) -> list[Claimed]:
-    said, stated = read_said(path), read_object(path, SCHEMA)
+    said, stated = read_stated_answer(path), read_object(path, SCHEMA)
     if not said.named:
         return []
     real = [effect for effect in answer.effects if effect.oracle_gain >= NULL_GAIN]

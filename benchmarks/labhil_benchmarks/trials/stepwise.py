@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from labhil.analysis.material import Material
+from labhil.analysis.dataset import Dataset
 from labhil.diagnose.begin import data_of, fit_baseline
 from labhil.diagnose.judge import Data
 from labhil.diagnose.refit import refit
@@ -37,7 +37,7 @@ MOST = 8
 """Terms after which no more are looked for: no trial conceals half as many."""
 
 
-def stepwise_study(material: Material) -> dict[str, Any]:
+def stepwise_study(material: Dataset) -> dict[str, Any]:
     """What the method says of a trial, as JSON data in the form of a diagnosis, as far as it goes."""
     began = time.perf_counter()
     model = material.model

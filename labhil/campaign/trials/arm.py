@@ -200,7 +200,7 @@ class ArmSetup:
         """Every number of the plant, its defaults included, by key."""
         return self._plant(secret, {}, 0).parameters
 
-    def loudness(self, secret: Secret) -> TrueNoise:
+    def noise_scale(self, secret: Secret) -> TrueNoise:
         """Noise and steps of the currents."""
         made = self.conditions
         return TrueNoise(made.level, (made.resolution,) * JOINTS, made.correlation)

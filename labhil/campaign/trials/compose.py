@@ -65,7 +65,7 @@ def compose(
         setup = bench.setup(random)
         bare = Secret(setup, setup.draw_base(random))
         try:
-            noise = setup.loudness(bare)
+            noise = setup.noise_scale(bare)
             secret = replace(bare, effects=tuple(_effects(bare, noise, sort, random)))
             if disturbed is not None:
                 secret = _disturbed(secret, noise, disturbed, random)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labhil.campaign.trials.answer import Answer, TrueEffect
-from labhil.campaign.trials.said import Named, Said
+from labhil.campaign.trials.stated_answer import Named, StatedAnswer
 from labhil.physics.terms import keyed, unkeyed
 
 NULL_GAIN = 3.0
@@ -80,7 +80,7 @@ class Matched:
         return next((named for found, named in self.pairs if found is effect), None)
 
 
-def judge(answer: Answer, said: Said, loss: Loss, overlap: float | None = None) -> Judged:
+def judge(answer: Answer, said: StatedAnswer, loss: Loss, overlap: float | None = None) -> Judged:
     """Judge a trial; ``loss`` says how many nats a rival, refitted in the place of an effect, loses to it."""
     real = [effect for effect in answer.effects if effect.oracle_gain >= NULL_GAIN]
     sure = sorted(
@@ -119,7 +119,7 @@ def judge(answer: Answer, said: Said, loss: Loss, overlap: float | None = None) 
     )
 
 
-def claims_of(said: Said) -> tuple[Named, ...]:
+def claims_of(said: StatedAnswer) -> tuple[Named, ...]:
     """What was claimed; a mismatch that is left unexplained claims something without a name."""
     if said.verdict == "unexplained_mismatch" and not said.named:
         return (Named(UNMODELLED, None),)
@@ -166,7 +166,7 @@ def is_honest(effect: TrueEffect, named: Named, loss: Loss) -> bool:
 
 
 def confusions(
-    sure: Sequence[TrueEffect], differs: bool, matched: Matched, said: Said
+    sure: Sequence[TrueEffect], differs: bool, matched: Matched, said: StatedAnswer
 ) -> tuple[tuple[str, str], ...]:
     """Pairs of true and named term: effects that were not found stand beside what was named in their place.
 
@@ -186,21 +186,21 @@ def confusions(
     return (*pairs, *((NONE, name) for name in over))
 
 
-def _silence(said: Said) -> str:
+def _silence(said: StatedAnswer) -> str:
     """What stands in the place of a name where there is none."""
     if said.verdict is None:
         return "failed"
     return NONE if said.verdict in {"no_mismatch", "missing_physics"} else said.verdict
 
 
-def _claims(real: Sequence[TrueEffect], said: Said) -> tuple[tuple[float, bool], ...]:
+def _claims(real: Sequence[TrueEffect], said: StatedAnswer) -> tuple[tuple[float, bool], ...]:
     stated = [pair for named in said.named for pair in ((named.term, named.probability), *named.rivals)]
     return tuple(
         (float(p), any(fits(effect, name) for effect in real)) for name, p in stated if p is not None
     )
 
 
-def _joints(sure: Sequence[TrueEffect], said: Said) -> tuple[bool, ...]:
+def _joints(sure: Sequence[TrueEffect], said: StatedAnswer) -> tuple[bool, ...]:
     """Whether each effect that is in a joint was found in the right one; nothing where none was named."""
     if said.verdict != "missing_physics":
         return ()
@@ -208,20 +208,20 @@ def _joints(sure: Sequence[TrueEffect], said: Said) -> tuple[bool, ...]:
     return tuple(effect.joint in named for effect in sure if effect.joint is not None)
 
 
-def _covered(answer: Answer, said: Said) -> tuple[bool, ...]:
+def _covered(answer: Answer, said: StatedAnswer) -> tuple[bool, ...]:
     return tuple(
         row.low <= answer.truth[row.key] <= row.high for row in said.intervals if row.key in answer.truth
     )
 
 
-def _holds_all(real: Sequence[TrueEffect], said: Said) -> bool:
+def _holds_all(real: Sequence[TrueEffect], said: StatedAnswer) -> bool:
     held = set(said.final_terms)
     return all(
         effect.catalogue and bool({effect.term, keyed(effect.term, effect.joint)} & held) for effect in real
     )
 
 
-def _modelled(answer: Answer, said: Said) -> bool:
+def _modelled(answer: Answer, said: StatedAnswer) -> bool:
     """Whether the excess over the true noise floor has gone, in squares of the floor."""
     marks = _against_floors(answer, said)
     if not marks:
@@ -230,12 +230,12 @@ def _modelled(answer: Answer, said: Said) -> bool:
     return before > 1.0 and (before - after) / (before - 1.0) >= MODELLED
 
 
-def _after_over_floor(answer: Answer, said: Said) -> float | None:
+def _after_over_floor(answer: Answer, said: StatedAnswer) -> float | None:
     marks = _against_floors(answer, said)
     return float(np.mean([after for _, after in marks])) if marks else None
 
 
-def _against_floors(answer: Answer, said: Said) -> list[tuple[float, float]]:
+def _against_floors(answer: Answer, said: StatedAnswer) -> list[tuple[float, float]]:
     """RMSE before and after of every output over its true noise floor; nothing where an output is missing."""
     told = {f.channel: f for f in said.figures}
     if not set(answer.noise_floors) <= set(told):

@@ -180,7 +180,7 @@ class OneInputSetup:
         """Every number of the plant, its defaults included."""
         return self._world.resolve(secret.terms, secret.parameters)
 
-    def loudness(self, secret: Secret) -> TrueNoise:
+    def noise_scale(self, secret: Secret) -> TrueNoise:
         """Noise and steps of the outputs for these conditions, from a silent rehearsal."""
         bench, made = self.bench, self.conditions
         rehearsed = self._walk(secret, 0, self._silence())

@@ -9,10 +9,10 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from labhil.campaign.trials.noise import LeftNoise, TrueNoise
-from labhil.identify.fitted import WORST_GROWTH, Fitted, climb, fit_terms, start_theta
+from labhil.identify.fitted import WORST_GROWTH, Fitted, fit_by_continuation, fit_terms, start_theta
 from labhil.identify.problem import Point, Problem
 from labhil.identify.score import Score, score
-from labhil.identify.window_states import held_at, settled_states
+from labhil.identify.window_states import estimate_states, estimate_states_at
 from labhil.identify.windows import all_of, fit_windows
 from labhil.physics.model import Model, Record, Windows, terms_named
 from labhil.signals import FloatArray, IntArray
@@ -106,11 +106,17 @@ class Oracle:
         """Where fits from the values ``known`` end on windows: by way of short ones, and at once."""
         model, search, sigma, begin = self.model, self.search, self.sigma, start_theta(self.model, known)
         if not self._states:
-            return [climb(model, search, terms, [search.longest], sigma, start=begin, fresh=fresh)[-1]]
+            return [
+                fit_by_continuation(model, search, terms, [search.longest], sigma, start=begin, fresh=fresh)[
+                    -1
+                ]
+            ]
         # windows are there for the sake of their initial states
         lengths = [share * self.horizon for share in RUNGS]
-        climbed = climb(model, search, terms, lengths, sigma, start=begin, fresh=fresh)[-1]
-        states = held_at(model, begin, search, climbed.problem.windows, sigma, thorough=True).states
+        climbed = fit_by_continuation(model, search, terms, lengths, sigma, start=begin, fresh=fresh)[-1]
+        states = estimate_states_at(
+            model, begin, search, climbed.problem.windows, sigma, thorough=True
+        ).states
         at_once = fit_terms(
             model, search, terms, lengths[-1], sigma, start=begin, states=states, new_terms=fresh
         )
@@ -245,7 +251,7 @@ def _whitening(windows: Windows, noise: LeftNoise) -> Whiten:
 def _settled(problem: Problem, whiten: Whiten) -> tuple[FloatArray, Point]:
     """White residuals (N·c,) with each window's state where its likelihood is highest (Gauss-Newton)."""
     none = np.empty(0)
-    found = settled_states(problem, none)
+    found = estimate_states(problem, none)
     point, residuals = Point(none, found.states), found.residuals
     white = whiten(residuals[:, None])[:, 0]
     if not problem.model.state_names:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from labhil.campaign.trials.oracle import Oracle
-from labhil.campaign.trials.said import Regime, Said
+from labhil.campaign.trials.stated_answer import Regime, StatedAnswer
 from labhil.identify.fitted import start_theta
 from labhil.signals import FloatArray
 
@@ -19,7 +19,7 @@ BEHIND = ("beam_sine", "beam_rate", "load_")
 """How coordinates behind the way in, and loads, begin: effects there change what the forces are made of."""
 
 
-def overlap(oracle: Oracle, term: str, others: Sequence[str], said: Said) -> float | None:
+def overlap(oracle: Oracle, term: str, others: Sequence[str], said: StatedAnswer) -> float | None:
     """Intersection over union of reported and true regime of an effect, on the test's scored samples.
 
     ``term`` is its key and ``others`` are the terms of the true model without it. Where joints have outputs
@@ -42,7 +42,7 @@ def overlap(oracle: Oracle, term: str, others: Sequence[str], said: Said) -> flo
         for vector in (theta, less)
     )
     fed = {**here, **{name: values for name, values in there.items() if name.startswith(BEHIND)}}
-    own = oracle.model.effort(theta, here) - oracle.model.effort(less, fed)
+    own = oracle.model.generalised_force(theta, here) - oracle.model.generalised_force(less, fed)
     joint = oracle.model.terms[term].joint
     joint = said.joint if joint is None else joint
     if own.ndim == 2:

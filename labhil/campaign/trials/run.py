@@ -19,7 +19,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from labhil.analysis.material import load_material
+from labhil.analysis.dataset import load_dataset
 from labhil.analysis.study import diagnose_study
 from labhil.campaign.benchmarks import benchmark_module
 from labhil.campaign.trials.folder import (
@@ -127,7 +127,7 @@ def diagnose_trial(folder: Path, name: str, method: str = DIAGNOSE) -> dict[str,
     began = time.perf_counter()
     try:
         search, test = (recording(folder, name, role) for role in ("search", "test"))
-        material = load_material(search, test_path=test)
+        material = load_dataset(search, test_path=test)
         result: dict[str, Any] = (
             _stepwise().stepwise_study(material) if method == STEPWISE else diagnose_study(material).json
         )

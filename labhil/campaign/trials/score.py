@@ -9,15 +9,15 @@ from functools import cached_property
 from itertools import repeat
 from pathlib import Path
 
-from labhil.analysis.material import load_material
+from labhil.analysis.dataset import load_dataset
 from labhil.campaign.trials.answer import Answer, TrueEffect
 from labhil.campaign.trials.card import Card, count
 from labhil.campaign.trials.folder import DIAGNOSE, Listed, Results, read_index, recording
 from labhil.campaign.trials.judge import NULL_GAIN, Judged, judge
 from labhil.campaign.trials.oracle import Oracle
 from labhil.campaign.trials.regime import overlap
-from labhil.campaign.trials.said import Said, read_said
 from labhil.campaign.trials.seal import open_envelope, sha256_of
+from labhil.campaign.trials.stated_answer import StatedAnswer, read_stated_answer
 from labhil.errors import UsageError
 
 Progress = Callable[[str], None]
@@ -90,7 +90,7 @@ def opened(listed: Listed, answers: Path) -> Answer:
 
 
 def _judge(results: Results, answer: Answer) -> Judged:
-    said = read_said(results.of(answer.trial))
+    said = read_stated_answer(results.of(answer.trial))
     oracle = Bystander(results.folder, answer)
     return judge(answer, said, oracle.loss, oracle.overlap(said))
 
@@ -116,7 +116,7 @@ class Bystander:
         best = oracle.refit([*others, *new], new).or_better(without)
         return effect.oracle_gain - (best.likelihood - without.likelihood)
 
-    def overlap(self, said: Said) -> float | None:
+    def overlap(self, said: StatedAnswer) -> float | None:
         """Agreement of reported regimes with the true one; None unless one effect makes the difference."""
         real = [effect for effect in self.answer.effects if effect.oracle_gain >= NULL_GAIN]
         if said.verdict != "missing_physics" or len(real) != 1 or not real[0].catalogue:
@@ -133,5 +133,5 @@ class Bystander:
     def oracle(self) -> Oracle:
         """An oracle of the trial's recordings with the true noise and values."""
         search, test = (recording(self.folder, self.answer.trial, role) for role in ("search", "test"))
-        material = load_material(search, test_path=test)
+        material = load_dataset(search, test_path=test)
         return Oracle.of(material.model, material.learn, material.judge, self.answer.noise, self.answer.truth)

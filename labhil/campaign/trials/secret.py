@@ -129,7 +129,7 @@ class Setup(Protocol):
         """Every number of the plant, its defaults included."""
         ...
 
-    def loudness(self, secret: Secret) -> TrueNoise:
+    def noise_scale(self, secret: Secret) -> TrueNoise:
         """Noise and steps of the outputs."""
         ...
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labhil.diagnose.evidence import Evidence, best_heldout_gain
-from labhil.diagnose.found import Found, Step
 from labhil.diagnose.judge import ALPHA, Data
 from labhil.diagnose.refit import without
+from labhil.diagnose.search_result import SearchResult, Step
 from labhil.diagnose.structures.enumerate import Structure, closed
 from labhil.diagnose.structures.state import (
     SearchState,
@@ -47,7 +47,7 @@ class Stage:
         return [self.state.refitted[structure].fitted for structure in chosen]
 
 
-def concluded(stage: Stage, claim: float, looks: int) -> Found:
+def concluded(stage: Stage, claim: float, looks: int) -> SearchResult:
     """The best structure with its rivals; nothing where the data do not speak for it."""
     state, model = stage.state, stage.data.model
     base = state.refitted[frozenset()].fitted
@@ -59,7 +59,7 @@ def concluded(stage: Stage, claim: float, looks: int) -> Found:
     known = state.log_evidence()
     p_value = float(np.exp(min(known[frozenset()] - known[best], 0.0)))
     claimed = closed(model, (step.terms[0] for step in steps), frozenset(base.terms))
-    found = Found(
+    found = SearchResult(
         base,
         _with_only(stage, claimed),
         tuple(steps),
@@ -92,7 +92,7 @@ def _step(term: str, odds: float, probability: float) -> Step:
     return Step((term,), Evidence(-2.0 * odds, 1.0, 0.0), float(np.exp(-odds)), True, probability)
 
 
-def borne_out(stage: Stage, found: Found) -> Found:
+def borne_out(stage: Stage, found: SearchResult) -> SearchResult:
     """Only what held-out data bear out, too, so that chance makes a tenth of the claims at most.
 
     The one that they bear out least goes first (Benjamini and Hochberg 1995: of m claims the largest p value
@@ -120,7 +120,7 @@ def _terms(steps: Sequence[Step]) -> Structure:
     return frozenset(step.terms[0] for step in steps)
 
 
-def _validated(stage: Stage, found: Found, asked: Structure) -> tuple[Step, ...]:
+def _validated(stage: Stage, found: SearchResult, asked: Structure) -> tuple[Step, ...]:
     """The steps, with what held-out data gain by each of ``asked``: against the final model without it."""
     data, final = stage.data, found.final
     after = data.judge(final.theta)

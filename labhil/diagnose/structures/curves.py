@@ -13,14 +13,14 @@ from itertools import combinations
 import numpy as np
 
 from labhil.diagnose.curve import begun, deepened, gauged, glance, refined, with_spline
-from labhil.diagnose.found import FittedCurve
+from labhil.diagnose.force_curve import given_coordinates, motion_coordinates, with_placed
 from labhil.diagnose.judge import Data
+from labhil.diagnose.search_result import FittedCurve
 from labhil.diagnose.structures.enumerate import RELEVANCE, Choice, Enumeration, Structure
 from labhil.diagnose.structures.responses import CurveColumns, responses
-from labhil.diagnose.unmodelled import given_coordinates, motion_coordinates, with_placed
 from labhil.identify.extended import NAME, Coordinate
 from labhil.identify.fitted import Fitted, fit_terms, with_only
-from labhil.physics.extra_force import MovedPart, Yielding
+from labhil.physics.extra_force import AcceptsExtraForce, MovedPart
 from labhil.physics.terms import Enters
 from labhil.signals import FloatArray
 
@@ -76,7 +76,7 @@ class CurveSearch:
         best: FittedCurve | None = None
         for begin in with_placed(fitted):
             model = begin.problem.model
-            for part in model.moved if isinstance(model, Yielding) else ():
+            for part in model.moved if isinstance(model, AcceptsExtraForce) else ():
                 trial = self._on_part(begin, part)
                 if trial is not None and (best is None or trial.log_odds > best.log_odds):
                     best = trial
@@ -98,7 +98,7 @@ class CurveSearch:
     def _choices(self, fitted: Fitted, part: MovedPart) -> tuple[float, list[CurveChoice]]:
         """The log evidence of the fit's own structure, and all with a curve, likeliest first."""
         model = fitted.problem.model
-        assert isinstance(model, Yielding)
+        assert isinstance(model, AcceptsExtraForce)
         columns = _columns(fitted, [*motion_coordinates(model, part), *given_coordinates(fitted, part)])
         curves = [curve for _, curve in columns]
         view = self._view(fitted, curves, len(curves))

@@ -71,7 +71,7 @@ def inner_products(
 ) -> Grams:
     """Inner products of columns (N·c, m), the windows' states taken out, under every disturbance."""
     rho = np.tile(correlation, len(problem.windows.owner))
-    worth = np.minimum(1.0, problem.telling * (1.0 + rho) / (1.0 - rho))
+    worth = np.minimum(1.0, problem.effective_fraction * (1.0 + rho) / (1.0 - rho))
     weight = np.sqrt(worth)[:, None]
     states = spectra(problem, weight * whitened(problem, lin.by_states, correlation))
     columns = spectra(problem, weight * whitened(problem, matrix, correlation))

@@ -9,9 +9,9 @@ import numpy as np
 
 from labhil.cores import cores
 from labhil.diagnose.collapsed import given_way
-from labhil.diagnose.found import Found
 from labhil.diagnose.judge import Data
 from labhil.diagnose.refit import on_windows
+from labhil.diagnose.search_result import SearchResult
 from labhil.diagnose.structures.claims import Stage, borne_out, concluded, predicts_better
 from labhil.diagnose.structures.curves import CurveSearch
 from labhil.diagnose.structures.disturbance import noise_beside
@@ -21,7 +21,7 @@ from labhil.ending import EndedEarly, accept
 from labhil.identify.fitted import Fitted, fit_terms
 from labhil.identify.noise import MOST
 from labhil.identify.windows import noise_of
-from labhil.physics.extra_force import Yielding
+from labhil.physics.extra_force import AcceptsExtraForce
 from labhil.signals import FloatArray
 
 CURVE_WINDOW = 1.5
@@ -30,7 +30,7 @@ CURVE_WINDOW = 1.5
 
 def search_structures(
     data: Data, baseline: Fitted, progress: Progress, options: Options | None = None
-) -> Found:
+) -> SearchResult:
     """Find the likeliest terms beside a fitted baseline, by one evidence."""
     options = options or Options()
     data, correlation = _in_noise_beside(data, baseline)
@@ -57,7 +57,7 @@ def search_structures(
         complete = False
     looks = len(candidates(data.model, baseline.terms))
     if not finished:
-        return Found(baseline, baseline, (), (), 1.0, looks, complete=False)
+        return SearchResult(baseline, baseline, (), (), 1.0, looks, complete=False)
     found = replace(concluded(finished[-1], options.claim, looks), complete=complete)
     if found.missing and not predicts_better(*(data.judge(f.theta) for f in (found.baseline, found.final))):
         found = found.nothing
@@ -82,11 +82,11 @@ def _in_noise_beside(data: Data, fitted: Fitted) -> tuple[Data, FloatArray]:
 
 
 def _with_curve(
-    data: Data, found: Found, longest: float, correlation: FloatArray, progress: Progress
-) -> Found:
+    data: Data, found: SearchResult, longest: float, correlation: FloatArray, progress: Progress
+) -> SearchResult:
     """What is named beside the likeliest curve, and that; all that is named where no curve is likelier."""
     model = data.model
-    if not isinstance(model, Yielding) or not model.state_names:
+    if not isinstance(model, AcceptsExtraForce) or not model.state_names:
         return found
     progress("a force over each coordinate in turn, instead of what is named and beside it")
     shorter = replace(data, window=min(CURVE_WINDOW * model.horizon, longest))

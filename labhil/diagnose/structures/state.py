@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import expit
 
-from labhil.diagnose.found import Alternative, Rival
+from labhil.diagnose.search_result import Alternative, Rival
 from labhil.diagnose.structures.enumerate import (
     Choice,
     Enumeration,

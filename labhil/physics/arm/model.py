@@ -26,7 +26,7 @@ from labhil.physics.arm.rigid_body import PER_LINK, upright
 from labhil.physics.arm.view import Remembered, View
 from labhil.physics.extra_force import ExtraForce, MovedPart
 from labhil.physics.model import Metric, Record, Windows, index_of
-from labhil.physics.terms import Parameter, Term, Yardstick, keyed
+from labhil.physics.terms import CharacteristicScale, Parameter, Term, keyed
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
 
@@ -63,7 +63,7 @@ class ArmModel:
     metric = Metric.INVERSE_DYNAMICS
     state_names: tuple[str, ...] = ()
     state_scale = np.empty(0)
-    forgets = True
+    fading_memory = True
     force_unit = "N·m"
     output_unit = "A"
     first_laws: tuple[str, ...] = FIRST_LAWS
@@ -98,8 +98,12 @@ class ArmModel:
         self.first = self._first(record)
         everything = catalogue(sizes, self._gear_ratio(rig), self.output_unit)
         self._known = {p.key: p.scale for term in everything.values() for p in term.known}
-        self.never_seen = dict(NEVER_SEEN) | self._absent(everything, record is None or warm is not None)
-        self.terms: Mapping[str, Term] = {k: t for k, t in everything.items() if k not in self.never_seen}
+        self.unobservable_terms = dict(NEVER_SEEN) | self._absent(
+            everything, record is None or warm is not None
+        )
+        self.terms: Mapping[str, Term] = {
+            k: t for k, t in everything.items() if k not in self.unobservable_terms
+        }
         own = own_parameters(self.joints, self.first, known=bool(self.fixed))
         self.parameters = own + tuple(p for term in self.terms.values() for p in term.parameters)
         self._index = index_of(self.parameters)
@@ -241,13 +245,13 @@ class ArmModel:
         load = self._rigid(theta, record)[windows.rows]
         return {f"load_{j}": load[:, j] for j in range(self.joints)}
 
-    def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
+    def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """Torque of each joint's drive at these coordinates in N·m, (N, 6), dry friction by sgn q̇."""
         return np.column_stack([self._effort(theta, coordinates, joint) for joint in range(self.joints)])
 
-    def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
+    def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
         """Starts are in units of their own: joints differ in size."""
-        return dict.fromkeys(Yardstick, 1.0)
+        return dict.fromkeys(CharacteristicScale, 1.0)
 
     # What follows reads values out of theta and puts columns together.
 

@@ -12,7 +12,7 @@ from labhil.kinds import JOINTS
 from labhil.physics.arm.chain import Chain
 from labhil.physics.arm.joint_laws import LAWS, JointMotion, Law, directions
 from labhil.physics.arm.motion import Motion
-from labhil.physics.extra_force import ExtraForce, Over, along_positive
+from labhil.physics.extra_force import CurveArgument, ExtraForce, along_positive
 from labhil.signals import FloatArray
 
 LAWS_REMEMBERED = 15 * JOINTS
@@ -152,7 +152,7 @@ class View:
         assert force.joint is not None
         m, (name, _, number) = self.motion, force.of.rpartition("_")
         along = (m.q if name == "actual_q" else m.qd)[:, int(number)]
-        places = np.abs(along) if force.acts is Over.SPEED_AGAINST else along
+        places = np.abs(along) if force.acts is CurveArgument.SPEED_AGAINST else along
         curve = np.interp(places, force.grid, force.values)
         return along_positive(force.acts, curve, m.qd[:, force.joint], self._direction(force.joint, length))
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labhil.identify.extended import Coordinate
-from labhil.physics.extra_force import ExtraForce, Over, Yielding, placed
+from labhil.physics.extra_force import AcceptsExtraForce, CurveArgument, ExtraForce, placed
 from labhil.physics.model import Metric, Model, Record, Windows
-from labhil.physics.terms import Yardstick
+from labhil.physics.terms import CharacteristicScale
 from labhil.signals import FloatArray
 
 RESOLVED = 0.02
@@ -18,7 +18,7 @@ RESOLVED = 0.02
 
 
 @dataclass(frozen=True, slots=True)
-class KeptCurve:
+class SavedCurve:
     """A force with the values ``value`` (m,), in ``unit``, at the evenly spaced places ``x`` (m,).
 
     ``low`` … ``high`` (m,) is its pointwise 99 % band. Beyond its range it keeps its last value.
@@ -39,7 +39,7 @@ class KeptCurve:
     def force(self, record: Record) -> ExtraForce:
         """As a model takes it, on this record."""
         force = self.coordinate.force(self.x, self.value, RESOLVED * float(self.x[-1] - self.x[0]))
-        if self.coordinate.acts is not Over.TIME:
+        if self.coordinate.acts is not CurveArgument.TIME:
             return force
         return replace(force, course=self.at(self.coordinate.of_record(record)))
 
@@ -50,7 +50,7 @@ class ModelUnderCurves:
     Of a single moving part one force, of an arm one or several on each joint.
     """
 
-    def __init__(self, inner: Yielding, curves: Sequence[KeptCurve]) -> None:
+    def __init__(self, inner: AcceptsExtraForce, curves: Sequence[SavedCurve]) -> None:
         inner = placed(inner, [curve.coordinate.name for curve in curves])
         self.inner = inner
         self.curves = tuple(curves)
@@ -58,9 +58,9 @@ class ModelUnderCurves:
         self.state_names = inner.state_names
         self.state_scale = inner.state_scale
         self.fixed = inner.fixed
-        self.never_seen = inner.never_seen
+        self.unobservable_terms = inner.unobservable_terms
         self.metric: Metric = inner.metric
-        self.forgets = inner.forgets
+        self.fading_memory = inner.fading_memory
         self.horizon = inner.horizon
         self.coordinate_units = inner.coordinate_units
         self.terms = inner.terms
@@ -94,24 +94,24 @@ class ModelUnderCurves:
         """The inner model's."""
         return self.inner.driven(theta, record, windows, along)
 
-    def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
+    def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """The inner model's force and the curves', (N,) or (N, joints)."""
-        effort = self.inner.effort(theta, coordinates)
+        generalised_force = self.inner.generalised_force(theta, coordinates)
         for curve in self.curves:
             if curve.coordinate.name in coordinates:
                 values = curve.at(curve.coordinate.of(coordinates))
-                effort = curve.coordinate.beside(effort, values, coordinates)
-        return effort
+                generalised_force = curve.coordinate.beside(generalised_force, values, coordinates)
+        return generalised_force
 
-    def yardsticks(self, record: Record) -> Mapping[Yardstick, float]:
+    def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
         """The inner model's."""
-        return self.inner.yardsticks(record)
+        return self.inner.characteristic_scales(record)
 
     def _under(self, record: Record) -> Model:
         return under(self.inner, self.curves, record)
 
 
-def under(model: Yielding, curves: Sequence[KeptCurve], record: Record) -> Yielding:
+def under(model: AcceptsExtraForce, curves: Sequence[SavedCurve], record: Record) -> AcceptsExtraForce:
     """The model under these curves on one record."""
     for curve in curves:
         model = model.with_force(curve.force(record))

@@ -56,7 +56,7 @@ class Regime:
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
+class StatedAnswer:
     """A diagnosis; ``verdict`` is None where it failed, ``joint`` that whose output is off the most."""
 
     verdict: str | None
@@ -70,23 +70,23 @@ class Said:
     error: str = ""
 
 
-def read_said(path: Path) -> Said:
+def read_stated_answer(path: Path) -> StatedAnswer:
     """Read a result; UsageError where it is not of the contract's form."""
     data = read_object(path, SCHEMA)
     try:
-        return said_in(data)
+        return stated_answer_in(data)
     except (KeyError, TypeError, ValueError) as error:
         raise UsageError(
             f"{path}: expected a diagnosis of `labhil diagnose --json`, found: {error!r}"
         ) from error
 
 
-def said_in(data: Mapping[str, Any]) -> Said:
+def stated_answer_in(data: Mapping[str, Any]) -> StatedAnswer:
     """What a diagnosis as JSON data said."""
     if data["verdict"] is None:
-        return Said(None, seconds=float(data["seconds"]), error=str(data.get("error", "")))
+        return StatedAnswer(None, seconds=float(data["seconds"]), error=str(data.get("error", "")))
     rivals = data["rivals"]
-    return Said(
+    return StatedAnswer(
         verdict=str(data["verdict"]),
         named=tuple(_named(item, rivals) for item in data["missing"]),
         final_terms=tuple(data["final"]["terms"]),

@@ -25,8 +25,8 @@ SCHEMAS = {"labhil.fit/1": "fit", "labhil.diagnosis/1": "diagnosis"}
 
 
 @dataclass(frozen=True, slots=True)
-class Shelved:
-    """One recording. What cannot be read is None, and ``trouble`` says why.
+class LibraryEntry:
+    """One recording. What cannot be read is None, and ``fault`` says why.
 
     ``duration`` in s of the device's world; ``status`` is "done", "failed", "imported", "no end",
     "growing" while somebody writes it, or "unreadable".
@@ -41,7 +41,7 @@ class Shelved:
     gaps: int | None = None
     status: str = ""
     reason: str = ""
-    trouble: str = ""
+    fault: str = ""
 
     @property
     def when(self) -> str:
@@ -49,27 +49,27 @@ class Shelved:
         return datetime.fromtimestamp(self.modified).astimezone().strftime("%d %b %H:%M")
 
 
-class Shelf:
+class RecordingLibrary:
     """The recordings of a folder, read once and again only where they change."""
 
     def __init__(self, folder: Path, clock: Callable[[], float] = time.time) -> None:
         self.folder, self._clock = folder, clock
-        self._known: dict[tuple[Path, int, float], Shelved] = {}
+        self._known: dict[tuple[Path, int, float], LibraryEntry] = {}
 
-    def look(self) -> Iterator[list[Shelved]]:
+    def look(self) -> Iterator[list[LibraryEntry]]:
         """Yield the list again and again while it is read, the newest recording first.
 
         A file that grows is not read: it would be read anew with each look.
         """
         found = sorted(_recordings(self.folder), key=lambda key: -key[2])
         self._known = {key: self._known[key] for key in found if key in self._known}
-        shelved = [self._known.get(key, Shelved(*key)) for key in found]
+        shelved = [self._known.get(key, LibraryEntry(*key)) for key in found]
         yield list(shelved)
         for index, key in enumerate(found):
             if key in self._known:
                 continue
             if key[0].suffix == ".part" and abs(self._clock() - key[2]) < GROWING:
-                shelved[index] = Shelved(*key, status="growing")
+                shelved[index] = LibraryEntry(*key, status="growing")
             else:
                 shelved[index] = self._known[key] = describe(*key)
             yield list(shelved)
@@ -85,17 +85,17 @@ def _recordings(folder: Path) -> Iterator[tuple[Path, int, float]]:
             yield path, about.st_size, about.st_mtime
 
 
-def describe(path: Path, size: int, modified: float) -> Shelved:
-    """Read one recording; what is wrong with it stands in ``trouble``."""
+def describe(path: Path, size: int, modified: float) -> LibraryEntry:
+    """Read one recording; what is wrong with it stands in ``fault``."""
     if size > LARGEST_READ:
-        return Shelved(path, size, modified, trouble="large: open it to read it")
+        return LibraryEntry(path, size, modified, fault="large: open it to read it")
     try:
         recording = read_recording(path)
     except LabhilError as error:
-        return Shelved(path, size, modified, status="unreadable", trouble=str(error))
+        return LibraryEntry(path, size, modified, status="unreadable", fault=str(error))
     status, reason = how_it_ended(recording)
     measured = [data for data in recording.streams if data.stream.name != "command"]
-    return Shelved(
+    return LibraryEntry(
         path,
         size,
         modified,
@@ -105,7 +105,7 @@ def describe(path: Path, size: int, modified: float) -> Shelved:
         gaps=sum(data.lost for data in recording.streams),
         status=status,
         reason=reason,
-        trouble=recording.damage,
+        fault=recording.damage,
     )
 
 

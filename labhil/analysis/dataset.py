@@ -37,7 +37,7 @@ SPEAKING = (ArmModel, SolenoidModel, SimulatorModel)
 
 
 @dataclass(frozen=True, slots=True)
-class Material:
+class Dataset:
     """What a result is made from: the rig's model, the data to learn from and the data to be judged on.
 
     ``measured`` is what is learnt from and what is held out of it, as it was recorded. Where nothing is
@@ -123,7 +123,7 @@ Taken = Path | Recording
 
 
 @linear_algebra_in_one_thread()
-def load_material(
+def load_dataset(
     path: Taken | Sequence[Taken],
     rig_file: Path | RigFile | None = None,
     test_path: Taken | Sequence[Taken] | None = None,
@@ -134,7 +134,7 @@ def load_material(
     all_of_it: bool = False,
     device: str | None = None,
     run: int | None = None,
-) -> Material:
+) -> Dataset:
     """Read one recording or several, or of each the ``span`` from … to (s), and what is to be judged on.
 
     Without ``test_path`` the last ``holdout`` of each recording is held out, after a gap of one scored
@@ -159,12 +159,12 @@ def load_material(
     if not test_paths and holdout == 0.0:
         with naming(found):
             learn = model.prepare(without_spikes(measured))
-        return Material(rig, model, learn, learn, False, measured, learning, held_out=False)
+        return Dataset(rig, model, learn, learn, False, measured, learning, held_out=False)
     if not test_paths:
         with naming(found):
             learn, judge = _held_out(model, measured, found, holdout)
             _refuse_horizon(rig, judge)
-        return Material(rig, model, learn, judge, False, measured, learning)
+        return Dataset(rig, model, learn, judge, False, measured, learning)
     tests, test = measured_of(tested, rig, like=measured, of=found[0])
     if len(tests) > 1 and len(records) == 1:
         model = several(model, (), 1)
@@ -174,7 +174,7 @@ def load_material(
     with naming(tested):
         judge = model.prepare(without_spikes(test))
         _refuse_horizon(rig, judge)
-    return Material(rig, model, learn, judge, True, measured, (*learning, *judging))
+    return Dataset(rig, model, learn, judge, True, measured, (*learning, *judging))
 
 
 def _unasked(recording: Recording, rig: RigFile) -> list[str]:

@@ -10,13 +10,13 @@ from scipy import stats
 
 from labhil.diagnose import locate
 from labhil.diagnose.answer import Curve, Excluded, Missing, RivalTerm, Undecided
+from labhil.diagnose.claim_probability import claim_probability
 from labhil.diagnose.conclude import MISNAMED
-from labhil.diagnose.credence import credence
 from labhil.diagnose.discrepancy import main_parameters, slope
-from labhil.diagnose.found import Found, Rival, Step
+from labhil.diagnose.force_curve import ForceCurve
 from labhil.diagnose.judge import Data
 from labhil.diagnose.minor import LEAST_SHARE
-from labhil.diagnose.unmodelled import Unmodelled
+from labhil.diagnose.search_result import Rival, SearchResult, Step
 from labhil.identify.fitted import Fitted, covariances
 from labhil.identify.intervals import quantile
 from labhil.identify.score import Score
@@ -32,7 +32,7 @@ WIDER = (
 
 
 def missing(
-    model: Model, step: Step, found: Found, final: list[Estimate], excess: float, claims: int
+    model: Model, step: Step, found: SearchResult, final: list[Estimate], excess: float, claims: int
 ) -> Missing:
     """One found term of so many ``claims``, with its parameters among the rows ``final``.
 
@@ -49,7 +49,7 @@ def missing(
         joint=term.joint,
         statement=f"The model leaves out {term.statement}{at}: {sizes}.{_together(found.final, rows)}",
         equation=term.equation,
-        probability=credence(step.evidence, excess, claims) * among,
+        probability=claim_probability(step.evidence, excess, claims) * among,
         parameters=rows,
         evidence=step.evidence,
     )
@@ -86,7 +86,7 @@ def _short(row: Estimate) -> str:
     return keyed(row.name.partition(".")[2], None, row.recording)
 
 
-def unnamed(beyond: Unmodelled, excess: float, claims: int) -> Missing:
+def unnamed(beyond: ForceCurve, excess: float, claims: int) -> Missing:
     """The entry of what no named term explains; see :func:`missing`."""
     formula = f"; about {beyond.formula}" if beyond.formula else ""
     return Missing(
@@ -94,13 +94,13 @@ def unnamed(beyond: Unmodelled, excess: float, claims: int) -> Missing:
         joint=beyond.joint,
         statement=beyond.statement,
         equation=f"a curve over {', '.join(beyond.depends_on)}{formula}",
-        probability=credence(beyond.evidence, excess, claims) * (beyond.probability or 1.0),
+        probability=claim_probability(beyond.evidence, excess, claims) * (beyond.probability or 1.0),
         parameters=[],
         evidence=beyond.evidence,
     )
 
 
-def curve(beyond: Unmodelled) -> Curve:
+def curve(beyond: ForceCurve) -> Curve:
     """Its curve as the answer states it."""
     return Curve(
         depends_on=beyond.depends_on[0],
@@ -117,7 +117,7 @@ def curve(beyond: Unmodelled) -> Curve:
     )
 
 
-def rival_term(model: Model, rival: Rival, found: Found, excess: float, claims: int) -> RivalTerm:
+def rival_term(model: Model, rival: Rival, found: SearchResult, excess: float, claims: int) -> RivalTerm:
     """A rival with its probability and the excitation that would tell; see :func:`missing`."""
     step = found.step(rival.instead_of)
     term = model.terms[rival.term]
@@ -125,14 +125,14 @@ def rival_term(model: Model, rival: Rival, found: Found, excess: float, claims: 
         term=term.name,
         instead_of=rival.instead_of,
         joint=term.joint,
-        probability=credence(step.evidence, excess, claims) * rival.probability,
+        probability=claim_probability(step.evidence, excess, claims) * rival.probability,
         delta_bic=rival.delta_bic,
         distinguishable=False,
         experiment=f"excite with {term.revealed_by}",
     )
 
 
-def too_little(found: Found) -> tuple[Undecided, ...]:
+def too_little(found: SearchResult) -> tuple[Undecided, ...]:
     """Terms that were seen, but that an imperfect law of a larger one could stand for."""
     share = f"{100.0 * LEAST_SHARE:.0f} %"
     reason = (
@@ -142,7 +142,7 @@ def too_little(found: Found) -> tuple[Undecided, ...]:
     return tuple(Undecided(*term, (), reason) for term in terms)
 
 
-def as_likely_as_not(found: Found) -> tuple[Undecided, ...]:
+def as_likely_as_not(found: SearchResult) -> tuple[Undecided, ...]:
     """Terms that are neither named nor a rival's, and that the searched data leave open."""
     told = {*found.final.terms, *(rival.term for rival in found.rivals)}
     reason = "these data speak neither for nor against"
@@ -151,11 +151,17 @@ def as_likely_as_not(found: Found) -> tuple[Undecided, ...]:
 
 def undecided(model: Model) -> tuple[Undecided, ...]:
     """Terms of which no recording of this rig can speak, with the reason."""
-    return tuple(Undecided(*unkeyed(key), (), reason) for key, reason in model.never_seen.items())
+    return tuple(Undecided(*unkeyed(key), (), reason) for key, reason in model.unobservable_terms.items())
 
 
 def location(
-    found: Found, before: Score, after: Score, held_out: Record, curves: Sequence[Unmodelled], *, wider: bool
+    found: SearchResult,
+    before: Score,
+    after: Score,
+    held_out: Record,
+    curves: Sequence[ForceCurve],
+    *,
+    wider: bool,
 ) -> locate.Location | None:
     """Where the mismatch lives; None where none was found. The strongest of the ``curves`` comes first.
 
@@ -170,7 +176,7 @@ def location(
     return replace(place, statement=place.statement + (WIDER if wider else locate.whose(before, after)))
 
 
-def _named_location(found: Found, before: Score, after: Score, held_out: Record) -> locate.Location:
+def _named_location(found: SearchResult, before: Score, after: Score, held_out: Record) -> locate.Location:
     model = found.final.problem.model
     strongest = model.terms[found.missing[0].terms[0]]
     seen = locate.HeldOut(held_out, before, after)
@@ -217,7 +223,7 @@ def statement(channel: str, strongest: Term, regimes: Mapping[str, tuple[locate.
 
 
 def _beyond_location(
-    found: Found, before: Score, after: Score, held_out: Record, beyond: Unmodelled
+    found: SearchResult, before: Score, after: Score, held_out: Record, beyond: ForceCurve
 ) -> locate.Location:
     name, model = beyond.depends_on[0], beyond.model
     record, windows, states, counted = locate.HeldOut(held_out, before, after).motion
@@ -256,7 +262,7 @@ def _channel(before: Score, after: Score) -> tuple[str, int | None]:
     return most.channel, most.joint
 
 
-def excluded(data: Data, found: Found) -> tuple[Excluded, ...]:
+def excluded(data: Data, found: SearchResult) -> tuple[Excluded, ...]:
     """Linearised estimate of every absent term beside the final model, ± its 99 % error.
 
     What the model leaves goes together within a window; the error is the larger of what noise makes of it and

@@ -33,7 +33,7 @@ def features(delta_bic: float, excess: float, claims: int) -> FloatArray:
     return np.array([1.0, np.log(np.clip(excess, 1.0, MOST_EXCESS)), claims - 1.0, strength])
 
 
-def credence(evidence: Evidence, excess: float, claims: int) -> float:
+def claim_probability(evidence: Evidence, excess: float, claims: int) -> float:
     """Probability that one of so many ``claims`` is right; ``excess`` is what is left, over the floor."""
     odds = np.array(WEIGHTS) @ features(evidence.delta_bic, excess, claims)
     return float(1.0 / (1.0 + np.exp(-odds)))

@@ -11,9 +11,9 @@ import numpy as np
 from labhil.diagnose.curve import length_of
 from labhil.diagnose.judge import Data
 from labhil.identify.fitted import Fitted
-from labhil.identify.noise import Noise, lasting_noise
+from labhil.identify.noise import Noise, estimate_coloured_noise
 from labhil.identify.score import scored_horizon
-from labhil.identify.window_states import held_at
+from labhil.identify.window_states import estimate_states_at
 from labhil.identify.windows import fit_windows, noise_of
 from labhil.physics.model import Metric, Model, Record, Windows
 from labhil.signals import FloatArray
@@ -31,16 +31,18 @@ STANDS_IN = 0.5
 """Share of the excess that terms must have explained of which more is left, or they only stand in for it."""
 
 
-def left_over(model: Model, theta: FloatArray, record: Record, noise: Noise, length: float) -> FloatArray:
+def residual_rms_on(
+    model: Model, theta: FloatArray, record: Record, noise: Noise, length: float
+) -> FloatArray:
     """RMS (c,) of what a model leaves of each output, in units of its noise, windows ``length`` s long."""
     whole = model.metric is Metric.INVERSE_DYNAMICS
     windows = Windows.of(record.spans) if whole else fit_windows(record, length)
-    found = held_at(model, theta, record, windows, noise.sigma, thorough=True)
+    found = estimate_states_at(model, theta, record, windows, noise.sigma, thorough=True)
     squares = found.residuals.reshape(-1, len(noise.sigma)) ** 2
     return np.asarray(np.sqrt(squares.mean(axis=0) / (1.0 - found.states.size / squares.size)))
 
 
-def left_by(data: Data, fitted: Fitted) -> FloatArray:
+def residual_rms(data: Data, fitted: Fitted) -> FloatArray:
     """What a fit leaves of search and held-out data, (2, c): on its own windows, or on the metric's."""
     length = length_of(fitted)
     return np.array([_left_of(each, data.model, fitted.theta, length) for each in (data.search, data.test)])
@@ -48,11 +50,11 @@ def left_by(data: Data, fitted: Fitted) -> FloatArray:
 
 def _left_of(record: Record, model: Model, theta: FloatArray, length: float) -> FloatArray:
     """The larger of what is left (c,) on windows of the fit and on those of the metric with their lead-in."""
-    noise = lasting_noise(model, theta, record, noise_of(record))
+    noise = estimate_coloured_noise(model, theta, record, noise_of(record))
     lengths = {length}
     if model.metric is not Metric.INVERSE_DYNAMICS:
         lengths.add(max(length, WITH_LEAD * scored_horizon(model, theta, record)))
-    return np.max([left_over(model, theta, record, noise, each) for each in lengths], axis=0)
+    return np.max([residual_rms_on(model, theta, record, noise, each) for each in lengths], axis=0)
 
 
 def unexplained(data: Data, left: FloatArray) -> bool:

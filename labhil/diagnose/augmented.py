@@ -12,15 +12,15 @@ from itertools import pairwise
 
 import numpy as np
 
-from labhil.diagnose.begin import fit_baseline, with_lasting_noise
-from labhil.diagnose.found import Found, Step
+from labhil.diagnose.adequacy import residual_rms, unexplained
+from labhil.diagnose.begin import fit_baseline, with_coloured_noise
 from labhil.diagnose.judge import Data, far_likelier
 from labhil.diagnose.refit import on_windows
-from labhil.diagnose.rest import left_by, unexplained
+from labhil.diagnose.search_result import SearchResult, Step
 from labhil.identify.fitted import Fitted
-from labhil.identify.noise import lasting_noise
+from labhil.identify.noise import estimate_coloured_noise
 from labhil.identify.score import Score, score
-from labhil.identify.windows import noise_of, told_apart
+from labhil.identify.windows import noise_of, with_noise_scales
 from labhil.physics.model import Record, joined
 from labhil.signals import FloatArray
 
@@ -40,16 +40,19 @@ LONG_ENOUGH = 1.25
 """Horizons in each, at least: half of one before what is scored."""
 
 
-def looked_wider(
-    data: Data, found: Found, look: Callable[[Data, Fitted], Found], progress: Callable[[str], None]
-) -> tuple[Data, Found, FloatArray]:
+def augmented_search(
+    data: Data,
+    found: SearchResult,
+    look: Callable[[Data, Fitted], SearchResult],
+    progress: Callable[[str], None],
+) -> tuple[Data, SearchResult, FloatArray]:
     """Data, what was found, and what that leaves: of a wider search where held-out data show something else.
 
     What that names has to explain them, or to be more than was named first, of data that go elsewhere; else
     the first answer stays. Where it names nothing, what was named first does not hold on more data, unless
     these still ask for it.
     """
-    left = left_by(data, found.final)
+    left = residual_rms(data, found.final)
     explained = found.curve is not None
     shown = not explained and (unexplained(data, left[1]) or _marked(data, found).excess > SHOWN)
     parts = searched_and_kept(data) if shown else None
@@ -59,11 +62,11 @@ def looked_wider(
     searched, kept = parts
     sigma, test_sigma = noise_of(searched), noise_of(kept)
     wider = replace(data, search=searched, test=kept, sigma=sigma, test_sigma=test_sigma)
-    wider, base = with_lasting_noise(wider, fit_baseline(wider, found.baseline.terms))
+    wider, base = with_coloured_noise(wider, fit_baseline(wider, found.baseline.terms))
     again = look(wider, base)
     if not again.complete:
         return data, replace(found, complete=False), left
-    left_then = left_by(wider, again.final)
+    left_then = residual_rms(wider, again.final)
     if again.missing:
         more = goes_elsewhere(data) and adds_beyond_doubt(found.missing, again.missing)
         firm = more or not unexplained(wider, left_then)
@@ -85,7 +88,7 @@ def searched_and_kept(data: Data) -> tuple[Record, Record] | None:
             edges = np.linspace(0, len(data.test), count + 1).astype(int)
             parts = [data.test.part(int(a), int(b)) for a, b in pairwise(edges)]
             searched, kept = joined([data.search, *parts[::2]]), joined(parts[1::2])
-            return told_apart(data.model, searched), told_apart(data.model, kept)
+            return with_noise_scales(data.model, searched), with_noise_scales(data.model, kept)
     return None
 
 
@@ -111,7 +114,7 @@ def adds_beyond_doubt(first: Sequence[Step], then: Sequence[Step]) -> bool:
     return bool(named and added) and kept and all(s.evidence.delta_bic < BEYOND_DOUBT for s in added)
 
 
-def _still_needed(wider: Data, found: Found, again: Found) -> bool:
+def _still_needed(wider: Data, found: SearchResult, again: SearchResult) -> bool:
     """Whether what was named first explains more data than it was found on by very strong evidence.
 
     A baseline that is refitted to half of the held-out data may leave nothing to be seen in the other half.
@@ -121,8 +124,8 @@ def _still_needed(wider: Data, found: Found, again: Found) -> bool:
     return far_likelier(on_windows(replace(wider, window=again.final.window), found.final), again.final)
 
 
-def _marked(data: Data, found: Found) -> Score:
+def _marked(data: Data, found: SearchResult) -> Score:
     """How well what was found foretells the held-out data, on the metric's windows."""
     theta = found.final.theta
-    noise = lasting_noise(data.model, theta, data.test, noise_of(data.test))
+    noise = estimate_coloured_noise(data.model, theta, data.test, noise_of(data.test))
     return score(data.model, theta, data.test, noise.sigma, lasts=noise.lasts)

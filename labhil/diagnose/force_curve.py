@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from labhil.diagnose.adequacy import STANDS_IN
 from labhil.diagnose.closed_forms import closed_form
 from labhil.diagnose.curve import (
     Band,
@@ -22,16 +23,15 @@ from labhil.diagnose.curve import (
     rows_beside,
 )
 from labhil.diagnose.evidence import Evidence, bic, effective_samples, heldout_gain
-from labhil.diagnose.found import FittedCurve
 from labhil.diagnose.judge import TRUSTED, Data, supported
-from labhil.diagnose.rest import STANDS_IN
+from labhil.diagnose.search_result import FittedCurve
 from labhil.identify.extended import NAME, Coordinate, ExtendedModel
 from labhil.identify.fitted import Fitted
-from labhil.identify.kept_curve import KeptCurve
 from labhil.identify.problem import Problem
+from labhil.identify.saved_curve import SavedCurve
 from labhil.identify.score import Score, score, scored_horizon
 from labhil.identify.statistics import Estimate
-from labhil.physics.extra_force import MovedPart, Over, Unplaced, Yielding
+from labhil.physics.extra_force import AcceptsExtraForce, CurveArgument, MovedPart, PositionUnobserved
 from labhil.physics.model import unit_of
 from labhil.signals import FloatArray
 
@@ -41,15 +41,15 @@ REACHED = 1.05
 ITERATIONS = 8
 """Steps on the windows of each length."""
 
-WAYS: Mapping[Over, str] = {
-    Over.POSITION_AGAINST: "dry friction",
-    Over.SPEED_AGAINST: "friction",
-    Over.DAMPING: "viscous friction",
+WAYS: Mapping[CurveArgument, str] = {
+    CurveArgument.POSITION_AGAINST: "dry friction",
+    CurveArgument.SPEED_AGAINST: "friction",
+    CurveArgument.DAMPING: "viscous friction",
 }
 
 
 @dataclass(frozen=True, slots=True)
-class Unmodelled:
+class ForceCurve:
     """A force that no named term explains.
 
     ``depends_on`` are the coordinates; the curve has the values ``value`` (m,) in ``unit`` at the places
@@ -64,7 +64,7 @@ class Unmodelled:
     joint: int | None
     enters: str
     depends_on: tuple[str, ...]
-    acts: Over
+    acts: CurveArgument
     x: FloatArray
     value: FloatArray
     low: FloatArray
@@ -92,20 +92,20 @@ class Unmodelled:
         return self.curved.fitted
 
     @property
-    def kept(self) -> KeptCurve:
+    def kept(self) -> SavedCurve:
         """The curve as a part of a model."""
         coordinate = self.model.coordinate
-        return KeptCurve(coordinate, self.x, self.value, self.low, self.high, self.unit, self.formula)
+        return SavedCurve(coordinate, self.x, self.value, self.low, self.high, self.unit, self.formula)
 
 
-def unmodelled(data: Data, final: Fitted, part: MovedPart) -> Unmodelled | None:
+def unmodelled(data: Data, final: Fitted, part: MovedPart) -> ForceCurve | None:
     """The torque on a joint over one coordinate that brings a fitted arm closest to the data, or None.
 
     It has to be supported by the search data and by the held-out ones, and has to explain half of what these
     show, or it only stands in for something else. The model must take a force.
     """
     model = final.problem.model
-    assert isinstance(model, Yielding)
+    assert isinstance(model, AcceptsExtraForce)
     judged = data.judge(final.theta)[0]
     if max(final.noise, judged.rmse / judged.noise_floor) < REACHED:
         return None
@@ -119,7 +119,7 @@ def unmodelled(data: Data, final: Fitted, part: MovedPart) -> Unmodelled | None:
     return None if found.share < STANDS_IN else found
 
 
-def stated(data: Data, curve: FittedCurve) -> Unmodelled:
+def stated(data: Data, curve: FittedCurve) -> ForceCurve:
     """A curve that evidence chose, as the answer states it."""
     beside, odds = curve.beside, curve.log_odds
     judged = data.judge(beside.theta)[0]
@@ -134,16 +134,19 @@ def with_placed(final: Fitted) -> list[Fitted]:
     return [final] if placed is final else [final, placed]
 
 
-def motion_coordinates(model: Yielding, part: MovedPart) -> list[Coordinate]:
+def motion_coordinates(model: AcceptsExtraForce, part: MovedPart) -> list[Coordinate]:
     """Everything that a force on a part may be a function of, with and without the sign of velocity.
 
     Positions of other parts are among it: a cable or a spring may be tied to both.
     """
     others = [each.position for each in model.moved if each != part]
     ways = [
-        *((part.position, acts) for acts in (Over.POSITION, Over.POSITION_AGAINST, Over.DAMPING)),
-        *((part.velocity, acts) for acts in (Over.VELOCITY, Over.SPEED_AGAINST)),
-        *((position, Over.POSITION) for position in others),
+        *(
+            (part.position, acts)
+            for acts in (CurveArgument.POSITION, CurveArgument.POSITION_AGAINST, CurveArgument.DAMPING)
+        ),
+        *((part.velocity, acts) for acts in (CurveArgument.VELOCITY, CurveArgument.SPEED_AGAINST)),
+        *((position, CurveArgument.POSITION) for position in others),
     ]
     units = model.coordinate_units
     return [Coordinate(name, unit_of(units, name) or "", acts, part) for name, acts in ways if name]
@@ -154,10 +157,10 @@ def given_coordinates(final: Fitted, part: MovedPart) -> list[Coordinate]:
     model, record = final.problem.model, final.problem.record
     names = {f"{name}{rate}" for name in record.input_names for rate in ("", "_rate")}
     units = {name: unit for name, unit in model.coordinate_units.items() if name in names}
-    return [Coordinate(name, unit, Over.TIME, part) for name, unit in units.items()]
+    return [Coordinate(name, unit, CurveArgument.TIME, part) for name, unit in units.items()]
 
 
-def _best(final: Fitted, model: Yielding, part: MovedPart) -> Curved | None:
+def _best(final: Fitted, model: AcceptsExtraForce, part: MovedPart) -> Curved | None:
     """The curve with the least criterion, of all coordinates that vary.
 
     Inverse dynamics is linear in a curve: a glance is as good as what follows.
@@ -182,7 +185,7 @@ def _glances(fitted: Fitted, possible: Sequence[Coordinate]) -> list[Curved]:
 def _placed(final: Fitted) -> Fitted:
     """The same fit where windows know where their part stands, as far as recordings do not tell it."""
     model, old = final.problem.model, final.problem
-    if not isinstance(model, Unplaced) or model.placed() is model:
+    if not isinstance(model, PositionUnobserved) or model.placed() is model:
         return final
     problem = Problem(model.placed(), old.record, old.windows, old.free, final.theta, old.sigma)
     point = final.solution.point
@@ -205,7 +208,7 @@ def _evidence(data: Data, final: Fitted, before: Score, chosen: Curved) -> Evide
     return Evidence(criterion(chosen, effective) - bic(final, effective, joint=joint), p_value, gain)
 
 
-def _answer(data: Data, final: Fitted, chosen: Curved, evidence: Evidence) -> Unmodelled:
+def _answer(data: Data, final: Fitted, chosen: Curved, evidence: Evidence) -> ForceCurve:
     horizon = scored_horizon(data.model, final.theta, data.test)
     before = score(data.model, final.theta, data.test, data.test_sigma, horizon)
     after = score(chosen.model, chosen.fitted.theta, data.test, data.test_sigma, horizon)
@@ -213,8 +216,10 @@ def _answer(data: Data, final: Fitted, chosen: Curved, evidence: Evidence) -> Un
     curve = band(chosen)
     unit = chosen.model.coefficients[0].unit
     part = coordinate.part
-    also = (part.velocity,) if coordinate.acts in (Over.POSITION_AGAINST, Over.DAMPING) else ()
-    return Unmodelled(
+    also = (
+        (part.velocity,) if coordinate.acts in (CurveArgument.POSITION_AGAINST, CurveArgument.DAMPING) else ()
+    )
+    return ForceCurve(
         term=NAME,
         joint=part.joint,
         enters="force",

@@ -67,7 +67,7 @@ class FittedCurve:
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class SearchResult:
     """Where a search ended; ``errors`` are standard errors by key that its fits by themselves cannot know.
 
     ``collapsed`` are sizes of the rig that gave way in the baseline. ``curve`` is a force without a name that
@@ -93,11 +93,11 @@ class Found:
     alternatives: tuple[Alternative, ...] = ()
 
     @property
-    def nothing(self) -> Found:
+    def nothing(self) -> SearchResult:
         """The same search if nothing of what it found is told."""
         return replace(self, final=self.baseline, missing=(), rivals=())
 
-    def ending(self, final: Fitted, steps: tuple[Step, ...]) -> Found:
+    def ending(self, final: Fitted, steps: tuple[Step, ...]) -> SearchResult:
         """The same search if it ends at ``final`` with these of its steps, and their rivals."""
         there = {step.terms[0] for step in steps}
         rivals = tuple(rival for rival in self.rivals if rival.instead_of in there)
