@@ -79,7 +79,21 @@ def _cached(function: Callable[..., object], **more: bool) -> Any:
     kept = getattr(found, "_cache", None)  # NUMBA_DISABLE_JIT leaves functions as they are
     if kept is not None:
         kept.save_overload = _where_there_is_room(kept.save_overload)
+        index = kept._cache_file
+        index._load_index = _of_known_classes(index._load_index)
     return found
+
+
+def _of_known_classes(load: Callable[[], dict[Any, Any]]) -> Callable[[], dict[Any, Any]]:
+    """An index of kernels whose signatures name classes that are no more is of older sources: no index."""
+
+    def load_index() -> dict[Any, Any]:
+        try:
+            return load()
+        except (AttributeError, ImportError):
+            return {}
+
+    return load_index
 
 
 def _where_there_is_room(save: Callable[[Any, Any], None]) -> Callable[[Any, Any], None]:

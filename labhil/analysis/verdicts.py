@@ -54,10 +54,10 @@ DISAGREEING = 1.1
 
 
 def disagreement(scale_factor: float | None) -> str:
-    """What to know of errors where searched and held-out data disagree on the values; nothing else."""
+    """What to know of errors where parts of the data disagree on the values; empty elsewhere."""
     if scale_factor is None or scale_factor < DISAGREEING:
         return ""
     return (
-        f"Errors are {scale_factor:.2g} times those of the fit: by so much searched and held-out data"
-        " disagree on the values."
+        f"Errors are {scale_factor:.2g} times those of the fit: by so much parts of the data disagree on the"
+        " values."
     )

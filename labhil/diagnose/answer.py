@@ -114,7 +114,7 @@ class Diagnosis:
     of the rig that the baseline alone takes far from what is known of them. ``remainder`` is what the answer
     explains and what it leaves. ``curve`` is the
     strongest one, ``further_curves`` are those of an arm's other joints. ``scale_factor`` is in all errors of
-    ``final``: by it searched and held-out data disagree on the values more than noise explains.
+    ``final``: by it parts of the data disagree on the values more than noise explains.
     ``complete`` is False where it was ended early, with the best so far.
     """
 
