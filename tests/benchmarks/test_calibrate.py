@@ -38,7 +38,7 @@ def test_a_few_claims_that_are_all_right_have_finite_weights():
 
 
 def test_what_is_fitted_is_what_is_stated():
-    assert claim_probability(Evidence(-100.0, 1e-6, 50.0), 1.0, 1) == pytest.approx(expit(2.2))
+    assert claim_probability(Evidence(-100.0, 1e-6, 50.0), 1.0, 1) == pytest.approx(expit(3.8))
     assert features(-1000.0, 0.8, 3).tolist() == [1.0, 0.0, 2.0, 1.0]
 
 

@@ -104,7 +104,7 @@ def held(tmp_path: Path) -> Any:
 
 
 def test_a_marker_stands_in_the_recording_at_its_moment(held: Callable[[float], Held]) -> None:
-    run = held(20.0)
+    run = held(100.0)
     run.wait_for(RunState.RUNNING, elapsed=2.0)
     with pytest.raises(CommandRefusedError, match="needs a text"):
         run.control.mark(" \n ")
