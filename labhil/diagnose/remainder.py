@@ -89,7 +89,7 @@ def _statement(
     names: Sequence[str], explained: float, floors: float, channel: str, places: Sequence[Regime]
 ) -> str:
     verb = "explains" if len(names) == 1 else "explain"
-    text = f"Together {' and '.join(names)}" if len(names) > 1 else names[0]
+    text = f"Together {' and '.join(names)}" if len(names) > 1 else names[0].replace("a force", "A force", 1)
     text = f"{text} {verb} {100.0 * explained:.0f} % of the error in {channel} beyond its noise"
     if floors <= NOISE:
         return f"{text}; what remains is noise."
