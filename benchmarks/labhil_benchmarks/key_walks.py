@@ -11,7 +11,7 @@ from pathlib import Path
 from textual.pilot import Pilot
 
 from labhil.tui.app import LabApp
-from labhil.tui.lab import Lab
+from labhil.tui.lab import Session
 
 ALWAYS = (
     "up",
@@ -50,7 +50,7 @@ class Walk:
     crash: str = ""
 
 
-async def walk(folder: Path, lab: Lab, seed: int, length: int) -> Walk:
+async def walk(folder: Path, lab: Session, seed: int, length: int) -> Walk:
     """Press ``length`` random keys in a screen over ``folder``; ``enter`` starts no experiment.
 
     Args:

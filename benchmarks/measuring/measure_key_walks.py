@@ -19,7 +19,7 @@ from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
-from labhil.tui.lab import Lab
+from labhil.tui.lab import Session
 from labhil_benchmarks.key_walks import Walk, fill, walk
 from measured import tell
 
@@ -60,7 +60,7 @@ def walk_all(seeds: list[int], length: int) -> list[Walk]:
         recordings = sorted((ROOT / "recordings").glob("*.mcap"))[:2]
         results = sorted((ROOT / "tests" / "tui" / "results").iterdir())
         folder = fill(Path(place) / "bench", recordings, results)
-        with Lab() as lab:
+        with Session() as lab:
             return [asyncio.run(walk(folder, lab, seed, length)) for seed in seeds]
 
 

@@ -31,7 +31,7 @@ from labhil.service.emergency import press_everywhere, release_everywhere
 from labhil.service.replay import Replay
 from labhil.signals import Batch
 from labhil.tui.app import LabApp
-from labhil.tui.lab import Lab
+from labhil.tui.lab import Session
 from labhil.tui.live import LivePane
 from labhil.tui.replaying import next_speed
 
@@ -240,7 +240,7 @@ def test_the_command_plays_and_ends_with_its_recording_or_with_ctrl_c(tmp_path: 
 
 def test_the_live_page_draws_it_says_so_and_steers_it(recording: Recording, tmp_path: Path) -> None:
     async def go() -> None:
-        with Replay(recording) as replay, Lab() as lab:
+        with Replay(recording) as replay, Session() as lab:
             app = LabApp(tmp_path, lab, tab="live")
             async with app.run_test(size=(80, 24)) as pilot:
                 await come(pilot, lambda: len(app.query_one(LivePane)._charts) >= 2)

@@ -17,7 +17,7 @@ from labhil.campaign.studies.process import Helper
 from labhil.campaign.studies.study import Task
 from labhil.tui.analysis import AnalysisDialog
 from labhil.tui.app import LabApp
-from labhil.tui.lab import Lab
+from labhil.tui.lab import Session
 
 PATIENCE = 100.0
 pytestmark = pytest.mark.timeout(300)
@@ -120,7 +120,7 @@ def test_the_end_of_its_time_leaves_the_best_so_far(folder: Path) -> None:
 
 def on_screen(folder: Path, drive: Callable[[Pilot[None], LabApp], Any], size: tuple[int, int]) -> None:
     async def go() -> None:
-        with Lab() as lab:
+        with Session() as lab:
             app = LabApp(folder, lab)
             async with app.run_test(size=size) as pilot:
                 await drive(pilot, app)

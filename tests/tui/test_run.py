@@ -21,7 +21,7 @@ from labhil.bus.register import running
 from labhil.recording.reader import Recording, read_recording
 from labhil.tui.app import LabApp
 from labhil.tui.dialogs import Confirm, Write
-from labhil.tui.lab import Lab
+from labhil.tui.lab import Session
 
 PATIENCE = 100.0
 MOVING = 16_384
@@ -80,7 +80,7 @@ def kinds(recording: Recording, device: str) -> list[str]:
 @pytest.mark.extended
 def test_two_keys_start_the_first_experiment_which_can_be_paused_resumed_and_stopped(bench: Path) -> None:
     async def drive() -> None:
-        with Lab() as lab:
+        with Session() as lab:
             app = LabApp(bench, lab)
             async with app.run_test(size=(100, 30)) as pilot:
                 await pilot.press("3", "enter")
@@ -120,7 +120,7 @@ def test_two_keys_start_the_first_experiment_which_can_be_paused_resumed_and_sto
 @pytest.mark.extended
 def test_the_emergency_stop_ends_the_run_and_holds_until_it_is_released(bench: Path) -> None:
     async def drive() -> None:
-        with Lab() as lab:
+        with Session() as lab:
             app = LabApp(bench, lab)
             async with app.run_test(size=(100, 30)) as pilot:
                 await pilot.press("3", "enter")
@@ -147,7 +147,7 @@ def test_the_emergency_stop_ends_the_run_and_holds_until_it_is_released(bench: P
 @pytest.mark.extended
 def test_quitting_asks_while_a_run_is_on_and_ends_it_in_order(bench: Path) -> None:
     async def drive() -> None:
-        with Lab() as lab:
+        with Session() as lab:
             app = LabApp(bench, lab)
             async with app.run_test(size=(80, 24)) as pilot:
                 await pilot.press("3", "enter")

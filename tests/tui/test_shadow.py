@@ -18,7 +18,7 @@ from textual.widgets import HelpPanel, OptionList
 from labhil.tui import shadow
 from labhil.tui.app import LabApp
 from labhil.tui.dialogs import Choose
-from labhil.tui.lab import Lab
+from labhil.tui.lab import Session
 from labhil.tui.shadow import ShadowView
 from labhil.tui.shadow_state import ShadowState
 from labhil.tui.themes import DARK
@@ -183,7 +183,7 @@ def test_a_model_beside_a_twin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
     shutil.copy(ROOT / "recordings" / "ball_beam_test.mcap", tmp_path)
 
     async def go() -> None:
-        with Lab(()) as lab:
+        with Session(()) as lab:
             app = LabApp(tmp_path, lab)
             async with app.run_test(size=(80, 24)) as pilot:
                 await pilot.press("3")

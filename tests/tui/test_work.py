@@ -20,7 +20,7 @@ from labhil.bus.register import running
 from labhil.recording.reader import read_recording
 from labhil.tui.app import LabApp
 from labhil.tui.dialogs import Choose, Tell
-from labhil.tui.lab import Lab
+from labhil.tui.lab import Session
 from labhil.tui.overlay import OverlayScreen
 
 PATIENCE = 100.0
@@ -41,7 +41,7 @@ Drive = Callable[[Pilot[None], LabApp], Awaitable[None]]
 
 def work(folder: Path, drive: Drive, connect: tuple[str, ...] = (), size: tuple[int, int] = (80, 24)) -> None:
     async def go() -> None:
-        with Lab(connect) as lab:
+        with Session(connect) as lab:
             app = LabApp(folder, lab)
             async with app.run_test(size=size) as pilot:
                 await drive(pilot, app)

@@ -101,9 +101,9 @@ class KnownStart:
         """How the motion ``along`` is driven, each (N,)."""
         return self._model.driven(theta, record, windows, along)
 
-    def effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
+    def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """Generalised force that the model exerts at these coordinates, (N,)."""
-        return self._model.effort(theta, coordinates)
+        return self._model.generalised_force(theta, coordinates)
 
     def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
         """What the starts of parameters are fractions of, in this record."""
