@@ -118,10 +118,10 @@ class ShadowState:
             line.append("reads the model …" if self.validated is None else "waits for samples …")
         elif self.agrees:
             line.append("✓ agrees", style=f"bold {colours['success']}")
-            line.append(f" – at {self.until:.1f} s", style=colours["muted"])
+            line.append(f" ({self.until:.1f} s)", style=colours["muted"])
         else:
             line.append("✕ left its band", style=f"bold {colours['error']}")
-            line.append(f" – at {self.until:.1f} s", style=colours["muted"])
+            line.append(f" ({self.until:.1f} s)", style=colours["muted"])
         silence = self.silence(now_ns)
         if self.unjudged:
             line.append(f"  – not judged: {self.unjudged}", style=colours["warning"])

@@ -82,11 +82,11 @@ def test_each_state_is_said() -> None:
     assert state_after({"validated": ""}).about() == "99.9 % of noise"
     agreeing = state_after(ready, stretch_line(3, left=False))
     assert agreeing.agrees
-    assert "✓ agrees – at 6.0 s" in said(agreeing, NOW_NS - 6_000_000_000)
+    assert "✓ agrees (6.0 s)" in said(agreeing, NOW_NS - 6_000_000_000)
     assert "ball_position agrees  ± 3.8 × 0.00044 m" in said(agreeing)
     left = state_after(ready, stretch_line(3, left=False), stretch_line(9, left=True))
     assert not left.agrees
-    assert "✕ left its band – at 12.0 s" in said(left)
+    assert "✕ left its band (12.0 s)" in said(left)
     beyond = left.outputs["ball_position"].beyond
     assert beyond > 5.0
     assert f"left at 9.7 s, 3.0 s ago: × {beyond:.1f} noise levels beyond" in said(left)
