@@ -27,7 +27,7 @@ from labhil.diagnose.refit import on_windows
 from labhil.identify.fitted import Fitted
 from labhil.identify.statistics import inverse_information
 from labhil.identify.table import ParameterTable, table_of
-from labhil.physics.model import Metric, Record
+from labhil.physics.model import Record
 from labhil.signals import BoolArray, FloatArray
 
 LEVEL = 0.01
@@ -153,9 +153,8 @@ def _halves(fitted: Fitted) -> Iterator[BoolArray]:
     """
     problem = fitted.problem
     windows, outputs = problem.windows, len(problem.sigma)
-    inverse_dynamics = problem.model.metric is Metric.INVERSE_DYNAMICS
     count = np.bincount(windows.owner)
-    for signal in _moving(problem.record, by_inputs_only=inverse_dynamics).T:
+    for signal in _moving(problem.record).T:
         here = signal[windows.rows]
         for values in (here, np.abs(here - np.median(here))):
             of_window = (np.bincount(windows.owner, values) / np.maximum(count, 1))[windows.owner]
@@ -163,11 +162,8 @@ def _halves(fitted: Fitted) -> Iterator[BoolArray]:
                 yield np.repeat(told_by > np.median(told_by), outputs)
 
 
-def _moving(record: Record, *, by_inputs_only: bool) -> FloatArray:
+def _moving(record: Record) -> FloatArray:
     """Signals (n, k) that tell regimes apart: time, inputs, outputs and their rates."""
-    signals = [record.t[:, None], record.inputs]
-    if not by_inputs_only:
-        rates = np.gradient(uniform_filter1d(record.outputs, SMOOTHED, axis=0), axis=0)
-        signals += [record.outputs, rates]
-    every = np.hstack(signals)
+    rates = np.gradient(uniform_filter1d(record.outputs, SMOOTHED, axis=0), axis=0)
+    every = np.hstack([record.t[:, None], record.inputs, record.outputs, rates])
     return every[:, np.ptp(every, axis=0) > 0.0]

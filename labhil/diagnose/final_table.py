@@ -12,8 +12,8 @@ from labhil.diagnose.search_result import SearchResult
 from labhil.ending import EndedEarly, accept
 from labhil.identify.fitted import Fitted
 from labhil.identify.statistics import Estimate, stated, with_error, with_wider_error
-from labhil.identify.table import table_of
-from labhil.physics.model import index_of, terms_named
+from labhil.identify.table import ParameterTable, table_of
+from labhil.physics.model import Metric, index_of, terms_named
 
 
 def final_table(end: Concluded, accepted: Accepted | None) -> tuple[list[Estimate], float]:
@@ -31,24 +31,37 @@ def final_table(end: Concluded, accepted: Accepted | None) -> tuple[list[Estimat
     accept()  # stating what was found takes no time
     table = table_of(found.final)
     if curve is None:
-        contrasts = between_parts(found.final, table)
-        contrasts += [] if again is None else [between_recordings(found.final, again, table)]
-        moved, of_curve = moved_by_what_is_left(found.final), list[Estimate]()
+        scale, moved = _scale(found.final, table, again), moved_by_what_is_left(found.final)
+        of_curve = list[Estimate]()
     else:
-        contrasts = between_parts(curve.fit, table_of(curve.fit))
+        scale = _scale(curve.fit, table_of(curve.fit), again)
         moved = moved_by_what_is_left(curve.fit, but={each.key for each in curve.model.coefficients})
         of_curve = list(curve.rows)
     # what is named may have been held beside a curve
     there = {row.key for row in of_curve}
     fitted = [*of_curve, *(row for row in table.rows if row.key not in there)]
-    scale = scale_factor(contrasts)
     rows = [_with_bias(row, found, scale, moved.get(row.key, 0.0)) for row in fitted]
     return _with_held(rows, found, accepted), scale
 
 
+def _has_one_scale(fitted: Fitted) -> bool:
+    """Whether one factor may be of all errors: an arm's joints have values and errors of their own."""
+    return fitted.problem.model.metric is not Metric.INVERSE_DYNAMICS
+
+
+def _scale(fitted: Fitted, table: ParameterTable, again: Fitted | None) -> float:
+    """The factor of a fit's errors by which parts of its data, and held-out data where known, disagree."""
+    if not _has_one_scale(fitted):
+        return 1.0
+    contrasts = between_parts(fitted, table)
+    return scale_factor(
+        contrasts if again is None else [*contrasts, between_recordings(fitted, again, table)]
+    )
+
+
 def _on_held_out(end: Concluded) -> Fitted | None:
     """The final model refitted to held-out data; None beside a curve, and of a search that was cut short."""
-    if end.curves or not end.found.complete:
+    if end.curves or not (end.found.complete and _has_one_scale(end.found.final)):
         return None
     try:
         return on_held_out(end.data, end.found.final)
