@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -11,7 +10,7 @@ from typing import cast
 import numpy as np
 
 from labhil.analysis.dataset import Dataset, load_dataset
-from labhil.analysis.patch import KEPT, OTHERS, Attempt, Joint, Patch, difference, write
+from labhil.analysis.patch import FIRM, KEPT, OTHERS, Attempt, Joint, Patch, difference, drafts, write
 from labhil.analysis.patch_source import Found
 from labhil.errors import UsageError
 from labhil.identify.score import Score, score
@@ -27,7 +26,6 @@ from labhil.simulators.arm_run import ArmFileRun, Companion
 from labhil.simulators.xml_text import XmlText
 
 PAYLOAD = "payload"
-FIRM = "firm dry friction"
 
 
 @dataclass(frozen=True)
@@ -159,8 +157,7 @@ def _run(
     candidate: PatchedArm | None = None,
 ) -> Score:
     """Score a file, loaded from where it shall stand under a name of its own, with what stands beside it."""
-    draft, code = out.with_name(f"{out.stem}.part{out.suffix}"), out.with_name(f"{out.stem}_part.py")
-    try:
+    with drafts(out) as (draft, code):
         content = XmlText.read(into).content if candidate is None else candidate.text.changed()
         draft.write_bytes(content)
         code.write_text(beside.text(out.name), encoding="utf-8")
@@ -169,12 +166,6 @@ def _run(
         functions: Companion = cast("Companion", module_of(code))
         itself = ArmFileRun(simulator, bench.rig, material.judge, functions, model.cut_off, firm=beside.firm)
         return _score(itself, start_values(itself.parameters), material)
-    except OSError as error:
-        raise UsageError(f"{out}: cannot be written: {error.strerror}") from error
-    finally:
-        for path in (draft, code):
-            with suppress(OSError):
-                path.unlink(missing_ok=True)
 
 
 def _refusal(into: Path, attempts: list[Attempt], promised: float, beside: Beside) -> str:

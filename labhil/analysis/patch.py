@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from labhil.errors import UsageError
 from labhil.simulators.xml_text import Change, XmlText
 from labhil.whole import whole
 
@@ -15,6 +18,10 @@ KEPT = 1.05
 
 OTHERS = 1.25
 """Times the promised error beyond which file and data are not those that the diagnosis was made of."""
+
+
+FIRM = "firm dry friction"
+"""What is done beside the values where a file's own dry friction is too soft."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +85,23 @@ class Patch:
             "unheld": list(self.unheld),
             "diff": self.diff,
         }
+
+
+@contextmanager
+def drafts(out: Path) -> Iterator[tuple[Path, Path]]:
+    """Names beside ``out`` for a file and its code while they are tried; both are gone at the end.
+
+    UsageError where they cannot be written.
+    """
+    draft, code = out.with_name(f"{out.stem}.part{out.suffix}"), out.with_name(f"{out.stem}_part.py")
+    try:
+        yield draft, code
+    except OSError as error:
+        raise UsageError(f"{out}: cannot be written: {error.strerror}") from error
+    finally:
+        for path in (draft, code):
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
 
 
 def write(text: XmlText, beside: str, out: Path, code: Path) -> None:

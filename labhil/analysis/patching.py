@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from labhil.analysis.arm_patching import patch_arm
 from labhil.analysis.dataset import Dataset, load_dataset
-from labhil.analysis.patch import KEPT, OTHERS, Attempt, Patch, difference, write
+from labhil.analysis.patch import FIRM, KEPT, OTHERS, Attempt, Patch, difference, drafts, write
 from labhil.analysis.patch_source import Found, read_found
 from labhil.errors import UsageError
 from labhil.identify.score import Score, score
@@ -171,7 +170,7 @@ def _candidates(
         if parts > 1:
             shorten(described, candidate.text, parts)
             candidate = replace(candidate, parts=parts)
-        beside = ["firm dry friction"] * rubs + [f"steps of 1/{parts}"] * (parts > 1)
+        beside = [FIRM] * rubs + [f"steps of 1/{parts}"] * (parts > 1)
         yield " and ".join(beside), candidate
 
 
@@ -179,8 +178,7 @@ def _tried(
     bench: Bench, candidate: Patched, text: str, out: Path, material: Dataset, horizon: float
 ) -> float:
     """Error of a candidate that is loaded from where it shall stand, under a name of its own."""
-    draft, code = out.with_name(f"{out.stem}.part{out.suffix}"), out.with_name(f"{out.stem}_part.py")
-    try:
+    with drafts(out) as (draft, code):
         draft.write_bytes(candidate.text.changed())
         described = _described(draft, bench.section, bench.described.simulator.name)
         if candidate.unsaid:
@@ -190,12 +188,6 @@ def _tried(
             push: Any = object_of(f"{code.name}:force", code.parent)
             described.mechanism.push = push
         return bench.run(described, material, candidate.left, horizon)
-    except OSError as error:
-        raise UsageError(f"{out}: cannot be written: {error.strerror}") from error
-    finally:
-        for path in (draft, code):
-            with suppress(OSError):
-                path.unlink(missing_ok=True)
 
 
 def _refusal(into: Path, attempts: list[Attempt], model: float, left: Left) -> str:

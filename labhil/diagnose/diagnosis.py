@@ -18,8 +18,9 @@ from labhil.diagnose.augmented import augmented_search
 from labhil.diagnose.begin import baseline_of, data_of, fit_baseline
 from labhil.diagnose.collapsed import given_way, kept_near
 from labhil.diagnose.conclude import Concluded, conclude
+from labhil.diagnose.discrepancy import absent_effects
 from labhil.diagnose.evidence import effective_samples
-from labhil.diagnose.final_table import final_table
+from labhil.diagnose.final_table import final_table, on_held_out_of
 from labhil.diagnose.force_curve import ForceCurve
 from labhil.diagnose.intake import Fault, usable
 from labhil.diagnose.joint_curves import strongest
@@ -89,7 +90,10 @@ def _answer(
 ) -> Diagnosis:
     """What the end of a search in ``data`` says, but for faults of the data and the time that it took."""
     model, found, told, claimed = data.model, end.found, strongest(end.curves), end.doubts
-    final, scale = final_table(end, accepted)
+    again = on_held_out_of(end)
+    accept()  # stating what was found takes no time
+    absent = absent_effects(found.final)
+    final, scale = final_table(end, accepted, absent, again)
     changed = _changes(final, reference, accepted)
     verdict = _verdict(end, changed)
     wider = end.data.test is not data.test
@@ -114,7 +118,7 @@ def _answer(
             *statements.as_likely_as_not(found),
             *statements.undecided(model),
         ),
-        excluded=statements.excluded(end.data, found),
+        excluded=statements.excluded(absent, found.minor),
         data="heldout",
         held_out=end.data.test,
         before=with_forces(end.before, model, found.baseline.theta, end.data.test, end.sigma),

@@ -11,14 +11,14 @@ s·√(E/|x⊥|²). Effects count by how much what they leave looks like r, so t
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
+from dataclasses import dataclass
 
 import numpy as np
 
 from labhil.diagnose.structures.enumerate import KNOWN_NOISE
 from labhil.diagnose.structures.responses import STANDS_FOR
 from labhil.identify.fitted import Fitted
-from labhil.identify.problem import Linearised
 from labhil.physics.model import index_of
 from labhil.physics.terms import Parameter, Term
 from labhil.signals import FloatArray
@@ -27,33 +27,67 @@ STEP = 1e-2
 """Of a parameter's scale, by which an absent effect is stepped from where it does nothing."""
 
 
-def moved_by_what_is_left(fitted: Fitted, but: Collection[str] = ()) -> dict[str, float]:
+@dataclass(frozen=True, slots=True)
+class AbsentEffect:
+    """An effect that a fit lacks, by its first size, and its ``response`` (N·c,) per scale of that."""
+
+    term: Term
+    parameter: Parameter
+    response: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class AbsentEffects:
+    """All ``effects`` that a fit lacks, and the ``slopes`` (N·c, P) by its own scaled parameters.
+
+    The windows' own states are taken out of both.
+    """
+
+    fitted: Fitted
+    slopes: FloatArray
+    effects: tuple[AbsentEffect, ...]
+
+
+def absent_effects(fitted: Fitted) -> AbsentEffects:
+    """Simulate every effect that a fit lacks, a little of it, where the fit stands."""
+    problem, residuals = fitted.problem, fitted.solution.residuals
+    lin = problem.linearise(fitted.solution.point, residuals)
+    effects = tuple(
+        AbsentEffect(term, main, problem.project(lin, _slope(fitted, main)[:, None])[:, 0])
+        for key, term in problem.model.terms.items()
+        if key not in fitted.terms
+        for main in _main_parameters(term)
+    )
+    return AbsentEffects(fitted, problem.project(lin, lin.by_parameters), effects)
+
+
+def moved_by_what_is_left(absent: AbsentEffects, but: Collection[str] = ()) -> dict[str, float]:
     """By how much a discrepancy may have moved each estimate, one standard deviation.
 
     Args:
-        fitted: a model that was fitted to the searched data.
+        absent: what a model that was fitted to the searched data lacks.
         but: keys of estimates that count as known: a curve's coefficients, which can stand for a friction of
             the model, are kept apart from it by a convention.
 
     Returns:
         Standard deviations by key, in SI units; empty where nothing is left beyond the noise.
     """
+    fitted = absent.fitted
     problem, residuals = fitted.problem, fitted.solution.residuals
     energy = float(residuals @ residuals) - KNOWN_NOISE**2 * fitted.dof
     every = list(fitted.estimates)
     free = [place for place, key in enumerate(every) if key not in but]
     if energy <= 0.0 or not free:
         return {}
-    lin = problem.linearise(fitted.solution.point, residuals)
-    own = problem.project(lin, lin.by_parameters[:, free])
+    own = absent.slopes[:, free]
     size = np.maximum(np.linalg.norm(own, axis=0), 1e-300)
     inverse = np.linalg.pinv(own / size) / size[:, None]
     moved, weights = np.zeros(len(free)), 0.0
-    for response in _absent(fitted, lin):
-        shift = inverse @ response
-        left = response - own @ shift
+    for effect in absent.effects:
+        shift = inverse @ effect.response
+        left = effect.response - own @ shift
         power = float(left @ left)
-        if power <= STANDS_FOR * float(response @ response) or power <= 0.0:
+        if power <= STANDS_FOR * float(effect.response @ effect.response) or power <= 0.0:
             continue
         likeness = float(left @ residuals) ** 2 / power
         moved += likeness * shift**2 * (energy / power)
@@ -62,24 +96,15 @@ def moved_by_what_is_left(fitted: Fitted, but: Collection[str] = ()) -> dict[str
     return dict(zip((every[place] for place in free), errors.tolist(), strict=True))
 
 
-def main_parameters(term: Term) -> list[Parameter]:
+def _main_parameters(term: Term) -> list[Parameter]:
     """A term's first size, in every recording that has one of its own."""
     first = next(p for p in term.parameters if not p.shape)
     return [p for p in term.parameters if p.name == first.name]
 
 
-def slope(fitted: Fitted, parameter: Parameter) -> FloatArray:
+def _slope(fitted: Fitted, parameter: Parameter) -> FloatArray:
     """Change of the residuals (N·c,) per scale of a parameter at neutral, from a small finite step."""
     theta = fitted.theta.copy()
     theta[index_of(fitted.problem.model.parameters)[parameter.key]] += STEP * parameter.scale
     residuals = fitted.problem.residuals_at(theta, fitted.solution.point.states)
     return np.asarray((residuals - fitted.solution.residuals) / STEP)
-
-
-def _absent(fitted: Fitted, lin: Linearised) -> Iterator[FloatArray]:
-    """Responses (N·c,) of the effects that a fit lacks, the windows' states taken out."""
-    model = fitted.problem.model
-    for key, term in model.terms.items():
-        if key not in fitted.terms:
-            for parameter in main_parameters(term):
-                yield fitted.problem.project(lin, slope(fitted, parameter)[:, None])[:, 0]

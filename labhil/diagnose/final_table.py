@@ -7,35 +7,38 @@ import numpy as np
 from labhil.diagnose.accepted import Accepted, accepted_error
 from labhil.diagnose.conclude import Concluded
 from labhil.diagnose.contrasts import between_parts, between_recordings, on_held_out, scale_factor
-from labhil.diagnose.discrepancy import moved_by_what_is_left
+from labhil.diagnose.discrepancy import AbsentEffects, absent_effects, moved_by_what_is_left
 from labhil.diagnose.search_result import SearchResult
-from labhil.ending import EndedEarly, accept
+from labhil.ending import EndedEarly
 from labhil.identify.fitted import Fitted
 from labhil.identify.statistics import Estimate, stated, with_error, with_wider_error
 from labhil.identify.table import ParameterTable, table_of
 from labhil.physics.model import Metric, index_of, terms_named
 
 
-def final_table(end: Concluded, accepted: Accepted | None) -> tuple[list[Estimate], float]:
+def final_table(
+    end: Concluded, accepted: Accepted | None, absent: AbsentEffects, again: Fitted | None
+) -> tuple[list[Estimate], float]:
     """The table of what is left, and the factor of its errors by which parts of the data disagree.
 
     Args:
         end: where a search ended.
         accepted: the model that sizes were held at, None where there is none.
+        absent: what the final fit lacks.
+        again: that fit on held-out data, where these can tell.
 
     Returns:
         Rows of all parameters, sizes that were held included, and the factor, at least 1.
     """
     found, curve = end.found, end.curves[-1] if end.curves else None
-    again = _on_held_out(end)
-    accept()  # stating what was found takes no time
     table = table_of(found.final)
     if curve is None:
-        scale, moved = _scale(found.final, table, again), moved_by_what_is_left(found.final)
+        scale, moved = _scale(found.final, table, again), moved_by_what_is_left(absent)
         of_curve = list[Estimate]()
     else:
         scale = _scale(curve.fit, table_of(curve.fit), again)
-        moved = moved_by_what_is_left(curve.fit, but={each.key for each in curve.model.coefficients})
+        held = {each.key for each in curve.model.coefficients}
+        moved = moved_by_what_is_left(absent_effects(curve.fit), but=held)
         of_curve = list(curve.rows)
     # what is named may have been held beside a curve
     there = {row.key for row in of_curve}
@@ -59,7 +62,7 @@ def _scale(fitted: Fitted, table: ParameterTable, again: Fitted | None) -> float
     )
 
 
-def _on_held_out(end: Concluded) -> Fitted | None:
+def on_held_out_of(end: Concluded) -> Fitted | None:
     """The final model refitted to held-out data; None beside a curve, and of a search that was cut short."""
     if end.curves or not (end.found.complete and _has_one_scale(end.found.final)):
         return None

@@ -12,11 +12,10 @@ from labhil.diagnose import locate
 from labhil.diagnose.answer import Curve, Excluded, Missing, RivalTerm, Undecided
 from labhil.diagnose.claim_probability import claim_probability
 from labhil.diagnose.conclude import MISNAMED
-from labhil.diagnose.discrepancy import main_parameters, slope
+from labhil.diagnose.discrepancy import AbsentEffects
 from labhil.diagnose.force_curve import ForceCurve
-from labhil.diagnose.judge import Data
 from labhil.diagnose.minor import LEAST_SHARE
-from labhil.diagnose.search_result import Rival, SearchResult, Step
+from labhil.diagnose.search_result import Minor, Rival, SearchResult, Step
 from labhil.identify.fitted import Fitted, covariances
 from labhil.identify.intervals import quantile
 from labhil.identify.score import Score
@@ -262,30 +261,29 @@ def _channel(before: Score, after: Score) -> tuple[str, int | None]:
     return most.channel, most.joint
 
 
-def excluded(data: Data, found: SearchResult) -> tuple[Excluded, ...]:
+def excluded(absent: AbsentEffects, minor: Sequence[Minor]) -> tuple[Excluded, ...]:
     """Linearised estimate of every absent term beside the final model, ± its 99 % error.
 
     What the model leaves goes together within a window; the error is the larger of what noise makes of it and
-    of what the windows themselves differ by (clustered errors: Liang and Zeger 1986).
+    of what the windows themselves differ by (clustered errors: Liang and Zeger 1986). Terms that were seen
+    and count for too little, ``minor``, are left out.
     """
-    problem, solution = found.final.problem, found.final.solution
-    lin = problem.linearise(solution.point, solution.residuals)
-    own = problem.project(lin, lin.by_parameters)
+    problem, residuals, own = absent.fitted.problem, absent.fitted.solution.residuals, absent.slopes
     basis, _ = np.linalg.qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300))
-    noise = found.final.noise
     limits = []
-    seen = {*found.final.terms, *(minor.term for minor in found.minor)}
-    absent = [term for key, term in data.model.terms.items() if key not in seen]
-    for term, parameter in [(each, main) for each in absent for main in main_parameters(each)]:
-        column = slope(found.final, parameter)
-        column = problem.project(lin, column[:, None])[:, 0]
-        column = column - basis @ (basis.T @ column)
+    seen = {each.term for each in minor}
+    for effect in absent.effects:
+        term, parameter = effect.term, effect.parameter
+        if term.key in seen:
+            continue
+        column = effect.response - basis @ (basis.T @ effect.response)
         power = float(column @ column)
         if power <= 1e-12:
             continue
-        value = -float(column @ solution.residuals) / power
-        left = column * (solution.residuals + value * column)
-        error = max(noise / np.sqrt(power), float(np.linalg.norm(problem.per_window(left))) / power)
+        value = -float(column @ residuals) / power
+        left = column * (residuals + value * column)
+        noise = absent.fitted.noise / np.sqrt(power)
+        error = max(noise, float(np.linalg.norm(problem.per_window(left))) / power)
         largest = (abs(value) + stats.norm.ppf(0.995) * error) * parameter.scale
         limits.append(
             Excluded(term.name, term.joint, float(largest), parameter.unit, 0.99, parameter.recording)

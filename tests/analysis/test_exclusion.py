@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 
 from labhil.diagnose.begin import data_of
+from labhil.diagnose.discrepancy import absent_effects
 from labhil.diagnose.statements import excluded
 from labhil.identify.fitted import fit_terms
 from labhil.physics.model import Record
@@ -23,7 +23,7 @@ def limits(record: Record) -> dict[str, float]:
     model = model_for(default_rig("dc_motor"), record)
     data = data_of(model, record, record)
     found = fit_terms(model, record, DRY, data.window, data.sigma, start=data.begin, iterations=8)
-    stated = excluded(data, SimpleNamespace(final=found, minor=()))  # type: ignore[arg-type]
+    stated = excluded(absent_effects(found), ())
     return {item.term: item.largest_hidden for item in stated}
 
 

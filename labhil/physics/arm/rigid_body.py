@@ -77,9 +77,7 @@ def torques_of_links(
             acc[k] = -gravity[k]
         for i in range(6):
             _turn(q[n, i], alpha[i], rotation[i])
-            step[i, 0] = a[i]
-            step[i, 1] = d[i] * np.sin(alpha[i])
-            step[i, 2] = d[i] * np.cos(alpha[i])
+            _place(d[i], a[i], alpha[i], step[i])
             _next(rotation[i], step[i], qd[n, i], qdd[n, i], w, dw, acc)
             newton_euler(w, dw, acc, wrench)
             weighted(wrench, inertial, i, own[i])
@@ -123,9 +121,7 @@ def columns_of_links(
             acc[k] = -gravity[k]
         for i in range(6):
             _turn(q[n, i], alpha[i], rotation[i])
-            step[i, 0] = a[i]
-            step[i, 1] = d[i] * np.sin(alpha[i])
-            step[i, 2] = d[i] * np.cos(alpha[i])
+            _place(d[i], a[i], alpha[i], step[i])
             _next(rotation[i], step[i], qd[n, i], qdd[n, i], w, dw, acc)
             newton_euler(w, dw, acc, wrench)
             for j in range(i, -1, -1):
@@ -141,6 +137,12 @@ def _turn(q: float, alpha: float, rotation: FloatArray) -> None:
     rotation[0, 0], rotation[0, 1], rotation[0, 2] = cq, -sq * ca, sq * sa
     rotation[1, 0], rotation[1, 1], rotation[1, 2] = sq, cq * ca, -cq * sa
     rotation[2, 0], rotation[2, 1], rotation[2, 2] = 0.0, sa, ca
+
+
+@inlined
+def _place(d: float, a: float, alpha: float, step: FloatArray) -> None:
+    """Origin of frame i as seen from frame i − 1, in frame i."""
+    step[0], step[1], step[2] = a, d * np.sin(alpha), d * np.cos(alpha)
 
 
 @inlined
