@@ -22,7 +22,7 @@ from labhil.errors import OptionError, RecordingError
 from labhil.identify.plausibility import doubts_of
 from labhil.identify.windows import FEWEST_SAMPLES, split, with_least_noise
 from labhil.physics.arm import ArmModel
-from labhil.physics.measured_input import smoothing_notes
+from labhil.physics.measured_input import smoothing_notes, with_input_smoothing
 from labhil.physics.model import Model, Record, joined
 from labhil.physics.rigs import model_for, record_of
 from labhil.physics.several import several
@@ -247,9 +247,11 @@ def measured_of(
 def _marked(record: Record, rig: RigFile) -> Record:
     """A record with the holds that the rig file states, and what only the whole of it shows.
 
-    That is the noise of channels that rest for a part of it, and readings at the ends of their range.
+    That is the noise of channels that rest for a part of it, that of a measured input, and readings at the
+    ends of their range.
     """
     record = with_least_noise(record.with_holds({n: c.hold for n, c in rig.channels.items() if c.hold}))
+    record = with_input_smoothing(record)
     return record if any(joint is not None for joint in record.output_joints) else with_censored(record)
 
 

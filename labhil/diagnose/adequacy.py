@@ -11,9 +11,11 @@ import numpy as np
 from labhil.diagnose.curve import length_of
 from labhil.diagnose.judge import Data
 from labhil.identify.fitted import Fitted
+from labhil.identify.input_noise import variance_by_input_noise
 from labhil.identify.noise import Noise, estimate_coloured_noise
+from labhil.identify.problem import Point, Problem
 from labhil.identify.score import scored_horizon
-from labhil.identify.window_states import estimate_states_at
+from labhil.identify.window_states import estimate_states
 from labhil.identify.windows import fit_windows, noise_of
 from labhil.physics.model import Metric, Model, Record, Windows
 from labhil.signals import FloatArray
@@ -34,12 +36,17 @@ STANDS_IN = 0.5
 def residual_rms_on(
     model: Model, theta: FloatArray, record: Record, noise: Noise, length: float
 ) -> FloatArray:
-    """RMS (c,) of what a model leaves of each output, in units of its noise, windows ``length`` s long."""
+    """RMS (c,) of what a model leaves of each output, in units of its noise, windows ``length`` s long.
+
+    With what the noise of a measured input makes of the simulation counted among the noise.
+    """
     whole = model.metric is Metric.INVERSE_DYNAMICS
     windows = Windows.of(record.spans) if whole else fit_windows(record, length)
-    found = estimate_states_at(model, theta, record, windows, noise.sigma, thorough=True)
+    problem = Problem(model, record, windows, np.empty(0, dtype=np.int64), theta, noise.sigma)
+    found = estimate_states(problem, np.empty(0), thorough=True)
     squares = found.residuals.reshape(-1, len(noise.sigma)) ** 2
-    return np.asarray(np.sqrt(squares.mean(axis=0) / (1.0 - found.states.size / squares.size)))
+    by_input = variance_by_input_noise(problem, Point(np.empty(0), found.states), found.residuals)
+    return np.asarray(np.sqrt(squares.mean(axis=0) / (1.0 - found.states.size / squares.size + by_input)))
 
 
 def residual_rms(data: Data, fitted: Fitted) -> FloatArray:

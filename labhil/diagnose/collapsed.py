@@ -44,12 +44,8 @@ class Collapsed:
         )
 
 
-def given_way(data: Data, baseline: Fitted) -> tuple[Collapsed, ...]:
-    """The rig's own sizes, none of which can be zero, that a baseline which leaves more than noise lost.
-
-    Only such as these data can know at all: from a motor's speed alone inertia and torque constant are known
-    as a ratio, and either may be anywhere.
-    """
+def far_from_nominal(data: Data, baseline: Fitted) -> tuple[Collapsed, ...]:
+    """The rig's own sizes, none of which can be zero, that a baseline with more than noise left took away."""
     problem, found = baseline.problem, list[Collapsed]()
     for j, i in enumerate(problem.free):
         parameter, value, nominal = data.model.parameters[i], float(baseline.theta[i]), float(data.begin[i])
@@ -57,6 +53,15 @@ def given_way(data: Data, baseline: Fitted) -> tuple[Collapsed, ...]:
             continue
         if parameter.at_bound(value) or not nominal / FAR < value < nominal * FAR:
             found.append(Collapsed(parameter.key, value, nominal, parameter.unit))
+    return tuple(found)
+
+
+def given_way(data: Data, baseline: Fitted) -> tuple[Collapsed, ...]:
+    """Those of them that are lost: that these data can know at all.
+
+    From a motor's speed alone inertia and torque constant are known as a ratio, and either may be anywhere.
+    """
+    found = far_from_nominal(data, baseline)
     return _knowable(data, baseline.terms, found) if found else ()
 
 
@@ -70,6 +75,12 @@ def _knowable(data: Data, terms: Sequence[str], lost: Sequence[Collapsed]) -> tu
     weak = weak_parameters(free, there.theta[there.problem.free], covariances(there)[2], 1.0)
     unknown = {parameter.key for parameter, is_weak in zip(free, weak, strict=True) if is_weak}
     return tuple(size for size in lost if size.key not in unknown)
+
+
+def brought_back(lost: Sequence[Collapsed], fitted: Fitted) -> bool:
+    """Whether a fit has these sizes closer to what is known of them than to what gave way."""
+    own = fitted.estimates
+    return all(size.nominal / NEAR < own[size.key] < size.nominal * NEAR for size in lost)
 
 
 def kept_near(model: Model, sizes: Sequence[Collapsed]) -> Model:

@@ -16,7 +16,7 @@ from labhil.diagnose.adequacy import residual_rms
 from labhil.diagnose.answer import Change, Diagnosis, Undecided
 from labhil.diagnose.augmented import augmented_search
 from labhil.diagnose.begin import baseline_of, data_of, fit_baseline
-from labhil.diagnose.collapsed import given_way, kept_near
+from labhil.diagnose.collapsed import brought_back, given_way, kept_near
 from labhil.diagnose.conclude import Concluded, conclude
 from labhil.diagnose.discrepancy import absent_effects
 from labhil.diagnose.evidence import effective_samples
@@ -97,6 +97,7 @@ def _answer(
     changed = _changes(final, reference, accepted)
     verdict = _verdict(end, changed)
     wider = end.data.test is not data.test
+    shorter = end.on_shorter_windows
     return Diagnosis(
         verdict=verdict,
         faults=(),
@@ -118,7 +119,7 @@ def _answer(
             *statements.as_likely_as_not(found),
             *statements.undecided(model),
         ),
-        excluded=statements.excluded(absent, found.minor),
+        excluded=statements.excluded(absent, found.possible),
         data="heldout",
         held_out=end.data.test,
         before=with_forces(end.before, model, found.baseline.theta, end.data.test, end.sigma),
@@ -130,11 +131,13 @@ def _answer(
         curve=statements.curve(told[0]) if told else None,
         further_curves=tuple(statements.curve(curve) for curve in told[1:]),
         seconds=0.0,
-        shorter=end.on_shorter_windows,
+        shorter=shorter,
         wider=wider,
         complete=found.complete,
         scale_factor=scale,
-        remainder=find_remainder(_names(found, told), *end.accepted, end.data.test, end.before, end.after),
+        remainder=find_remainder(
+            _names(found, told), *end.accepted, end.data.test, *(shorter or (end.before, end.after))
+        ),
     )
 
 
@@ -212,11 +215,14 @@ def _found(
 def _with_credible_sizes(data: Data, found: SearchResult, progress: Callable[[str], None]) -> SearchResult:
     """What was found; where the baseline's own sizes gave way, once more with these kept near nominal.
 
-    The second answer has to be far likelier on the searched data: a nominal value may be wrong.
+    The second answer has to be far likelier on the searched data: a nominal value may be wrong. Where what
+    was found brings them back there is nothing more to ask.
     """
     lost = given_way(data, found.baseline)
     if not lost:
         return found
+    if found.missing and brought_back(lost, found.final):
+        return replace(found, collapsed=lost)
     near = replace(data, model=kept_near(data.model, lost))
     baseline = fit_baseline(near, found.baseline.terms)
     # on the windows that the first search ended on
@@ -270,8 +276,10 @@ def _suffices(end: Concluded, verdict: str) -> float:
     searched and held-out data together have not reached the level of one.
     """
     found, curves = end.found, end.curves
-    if found.missing or curves:
-        return found.p_value if found.missing else curves[0].evidence.p_value
+    if found.missing:
+        return found.p_value
+    if curves:
+        return float(np.exp(min(0.5 * curves[0].evidence.delta_bic, 0.0)))
     if verdict != "unexplained_mismatch":
         return max(found.p_value, TOGETHER)
     effective, excess = effective_samples(found.final), max(found.final.noise, end.before.excess)

@@ -22,7 +22,7 @@ from labhil.diagnose.curve import (
     minimised,
     rows_beside,
 )
-from labhil.diagnose.evidence import Evidence, bic, effective_samples, heldout_gain
+from labhil.diagnose.evidence import Evidence, best_heldout_gain, bic, effective_samples, heldout_gain
 from labhil.diagnose.judge import TRUSTED, Data, supported
 from labhil.diagnose.search_result import FittedCurve
 from labhil.identify.extended import NAME, Coordinate, ExtendedModel
@@ -121,10 +121,11 @@ def unmodelled(data: Data, final: Fitted, part: MovedPart) -> ForceCurve | None:
 
 def stated(data: Data, curve: FittedCurve) -> ForceCurve:
     """A curve that evidence chose, as the answer states it."""
-    beside, odds = curve.beside, curve.log_odds
-    judged = data.judge(beside.theta)[0]
-    evidence = replace(_evidence(data, beside, judged, curve.curved), delta_bic=-2.0 * odds)
-    answer = _answer(data, beside, curve.curved, evidence)
+    beside, odds, curved = curve.beside, curve.log_odds, curve.curved
+    after = replace(data, model=curved.model).judge(curved.fitted.theta)
+    gain, p_value = best_heldout_gain(data.judge(beside.theta), after)
+    evidence = Evidence(-2.0 * odds, p_value, gain)
+    answer = _answer(data, beside, curved, evidence)
     return replace(answer, probability=float(1.0 / (1.0 + np.exp(-odds))))
 
 

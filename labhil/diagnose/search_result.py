@@ -115,6 +115,12 @@ class SearchResult:
         squares = [each.probability * (each.values[key] - own[key]) ** 2 for each in having]
         return float(np.sqrt(sum(squares) / sum(each.probability for each in having)))
 
+    @property
+    def possible(self) -> frozenset[str]:
+        """Terms that may be there though they are not named: rivals, open ones, those that explain little."""
+        named = (rival.term for rival in self.rivals)
+        return frozenset((*named, *self.open, *(each.term for each in self.minor)))
+
     def step(self, term: str) -> Step:
         """The step that added a term; StopIteration where it was none that counts."""
         return next(step for step in self.missing if step.terms[0] == term)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from labhil.diagnose.conclude import MISNAMED
 from labhil.diagnose.discrepancy import AbsentEffects
 from labhil.diagnose.force_curve import ForceCurve
 from labhil.diagnose.minor import LEAST_SHARE
-from labhil.diagnose.search_result import Minor, Rival, SearchResult, Step
+from labhil.diagnose.search_result import Rival, SearchResult, Step
 from labhil.identify.fitted import Fitted, covariances
 from labhil.identify.intervals import quantile
 from labhil.identify.score import Score
@@ -261,20 +261,19 @@ def _channel(before: Score, after: Score) -> tuple[str, int | None]:
     return most.channel, most.joint
 
 
-def excluded(absent: AbsentEffects, minor: Sequence[Minor]) -> tuple[Excluded, ...]:
+def excluded(absent: AbsentEffects, possible: Collection[str]) -> tuple[Excluded, ...]:
     """Linearised estimate of every absent term beside the final model, ± its 99 % error.
 
     What the model leaves goes together within a window; the error is the larger of what noise makes of it and
-    of what the windows themselves differ by (clustered errors: Liang and Zeger 1986). Terms that were seen
-    and count for too little, ``minor``, are left out.
+    of what the windows themselves differ by (clustered errors: Liang and Zeger 1986). ``possible`` are keys
+    of terms that may well be there: they are left out.
     """
     problem, residuals, own = absent.fitted.problem, absent.fitted.solution.residuals, absent.slopes
     basis, _ = np.linalg.qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300))
     limits = []
-    seen = {each.term for each in minor}
     for effect in absent.effects:
         term, parameter = effect.term, effect.parameter
-        if term.key in seen:
+        if term.key in possible:
             continue
         column = effect.response - basis @ (basis.T @ effect.response)
         power = float(column @ column)

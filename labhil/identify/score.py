@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from labhil.errors import RecordingError
+from labhil.identify.input_noise import responses_to_input_noise
 from labhil.identify.problem import Point, Problem
 from labhil.identify.rounding import Rounding
 from labhil.identify.window_states import estimate_states_at
@@ -298,10 +299,12 @@ def _carried(
     """What the initial state's error adds to the variance of each scored sample (N, c), over the noise's.
 
     a·(AᵀA)⁻¹·AᵀLA·(AᵀA)⁻¹·aᵀ, A over the lead-in, a over the scored part, L how long noise lasts; the noise
-    floor is σ·√(1 + its mean). What of rounding lasts goes through the same by itself.
+    floor is σ·√(1 + its mean). What of rounding lasts goes through the same by itself, and so does what the
+    noise of a measured input makes of the simulation, beside that itself.
     """
     c = len(whole.sigma)
-    lin = whole.linearise(Point(np.empty(0), states), residuals)
+    point = Point(np.empty(0), states)
+    lin = whole.linearise(point, residuals)
     lead = lin.by_states * np.repeat(~windows.scored, c)[:, None]
     inverse = np.linalg.inv(whole.state_gram(lead))
     rounded = [Rounding.of(whole.record.outputs[:, j], whole.sigma[j]) for j in range(c)]
@@ -316,4 +319,10 @@ def _carried(
         along = [np.sum(lin.by_states * shift[whole.owner], axis=1) for shift in moved]
         carried += np.mean(np.square(along), axis=0)
     # a state that its lead-in cannot see (a ball that rests there) stays where it was put
-    return np.asarray(np.minimum(carried, 100.0).reshape(-1, c)[windows.scored])
+    carried = np.minimum(carried, 100.0)
+    changes = responses_to_input_noise(whole, point)
+    if changes.size:
+        shifts = inverse @ whole.per_window(lead[:, :, None] * changes[:, None, :])
+        left = changes - np.einsum("ns,nsd->nd", lin.by_states, shifts[whole.owner])
+        carried += np.mean(left**2, axis=1)
+    return np.asarray(carried.reshape(-1, c)[windows.scored])

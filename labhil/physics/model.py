@@ -10,6 +10,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from labhil.errors import RecordingError, UnknownNameError, UsageError
+from labhil.physics.smoothing import Smoothing
 from labhil.physics.terms import CharacteristicScale, Parameter, Term
 from labhil.recording.clock_faults import ClockFault
 from labhil.signals import FloatArray, Hold, IntArray
@@ -33,7 +34,8 @@ class Begin:
 
     Its first sample is ``row``; its ``number`` counts from 1; its own time is the record's less ``shift`` s.
     ``noise_scale`` (channels,) is the noise of its outputs over that of the record, where it was looked at;
-    ``clock_faults`` are what is wrong with the stamps of its samples.
+    ``clock_faults`` are what is wrong with the stamps of its samples. ``input_smoothing`` is how noise was
+    taken off the first input, where that is a sensor's reading.
     """
 
     row: int = 0
@@ -41,6 +43,7 @@ class Begin:
     shift: float = 0.0
     noise_scale: tuple[float, ...] = ()
     clock_faults: tuple[ClockFault, ...] = ()
+    input_smoothing: Smoothing | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +161,7 @@ class Record:
         begins, row, end = list[Begin](), 0, float(self.t[0])
         for number, record in enumerate(every, 1):
             shift = end - float(record.t[0]) if row else 0.0
-            begins.append(Begin(row, number, shift, clock_faults=record.begins[0].clock_faults))
+            begins.append(replace(record.begins[0], row=row, number=number, shift=shift, noise_scale=()))
             row, end = row + len(record), float(record.t[-1]) + shift + BORDER * self.period
         return replace(
             self,

@@ -12,6 +12,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from one_input_rigs import replay, rig_of, staircase
 
+import labhil as lh
 from labhil.analysis.results import finite
 from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.begin import data_of
@@ -142,3 +143,28 @@ def test_a_change_has_to_beat_the_errors_of_both_values():
     assert len(_changes([row], {"level": -3.25}, accepted(0.3))) == 1
     assert len(_changes([row], {"level": -3.25}, None)) == 1
     assert _changes([replace(row, identifiable=False)], {"level": -3.25}, accepted(0.3)) == ()
+
+
+def geared(seconds: float = 10.0) -> lh.Recording:
+    """A motor with 2 Ω, 0.05 N·m/A and 2e-4 kg·m² under a constant 0.0102 N·m, its speed alone recorded."""
+    step, period = 1e-4, 2e-3
+    t = period * np.arange(int(seconds / period))
+    voltage = 6.0 * np.sign(np.sin(2.5 * t)) * (0.5 + 0.5 * np.sin(0.9 * t)) + 1.5 * np.sin(10.7 * t)
+    speed, seen = 0.0, np.empty(len(t))
+    for i, u in enumerate(voltage):
+        seen[i] = speed
+        for _ in range(int(period / step)):
+            speed += step * (0.05 * (u - 0.05 * speed) / 2.0 - 1e-4 * speed - 0.0102) / 2e-4
+    seen += 0.3 * np.random.default_rng(5).standard_normal(len(t))
+    return lh.recording(t, {"voltage": voltage}, {"speed": seen}, rig="dc_motor")
+
+
+@pytest.mark.extended
+def test_a_constant_load_that_a_motor_s_sizes_gave_way_to_is_found():
+    found = lh.diagnose(geared(), baseline=["viscous_friction"])
+    # a motor without dry friction cannot tell the two apart
+    named = {effect.term for effect in found.missing} | {rival.term for rival in found.rivals}
+    assert {"constant_force", "sensor_offset"} == named
+    assert not named & {effect.term for effect in found.excluded}
+    (channel,) = found.improvement.per_channel
+    assert channel.rmse_after < 1.1 * channel.noise_floor

@@ -74,8 +74,8 @@ windows would add up more of that, and show no more of what acts slowly."""
 class StructureSearch:
     """A search over sets of terms that are added to a baseline.
 
-    ``nominal`` are values by key of the rig's own sizes that gave way in the baseline: refits begin there,
-    too, for the physics that is missing may bring them back.
+    ``nominal`` are values by key of the rig's own sizes that the baseline takes far from them: refits begin
+    there, too, for the physics that is missing may bring them back.
     """
 
     data: Data

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from labhil.cores import cores
-from labhil.diagnose.collapsed import given_way
+from labhil.diagnose.collapsed import far_from_nominal
 from labhil.diagnose.judge import Data
 from labhil.diagnose.refit import on_windows
 from labhil.diagnose.search_result import SearchResult
@@ -37,7 +37,7 @@ def search_structures(
     finished: list[Stage] = []
     complete = True
     try:
-        nominal = {size.key: size.nominal for size in given_way(data, baseline)}
+        nominal = {size.key: size.nominal for size in far_from_nominal(data, baseline)}
         with ThreadPoolExecutor(cores()) as executor:
             for length in _lengths(data, options):
                 begin = [baseline]
