@@ -13,6 +13,9 @@ from labhil.extras import load_optional
 from labhil.recording.formats.columns import NumberColumns, number_columns, number_of
 from labhil.signals import FloatArray, Stream
 
+ROW_GROUP = 1 << 18
+"""Rows that are written at a time."""
+
 
 def read_parquet(path: Path) -> NumberColumns:
     """Read a Parquet file; a column of lists of one length becomes several (``name_0`` …).
@@ -61,8 +64,12 @@ def write_parquet(stream: Stream, t: FloatArray, values: FloatArray, out: Path) 
         arrow.field(name, arrow.float64(), metadata={"unit": unit})
         for name, unit in zip(("t", *stream.columns()), units, strict=True)
     ]
-    columns = [arrow.array(column) for column in (t, *values.T)]
-    parquet.write_table(arrow.table(columns, schema=arrow.schema(fields)), out)
+    schema = arrow.schema(fields)
+    with parquet.ParquetWriter(out, schema) as writer:
+        for start in range(0, max(len(t), 1), ROW_GROUP):
+            block = slice(start, start + ROW_GROUP)
+            columns = [arrow.array(column) for column in (t[block], *values[block].T)]
+            writer.write_table(arrow.table(columns, schema=schema))
 
 
 def _numbers(arrow: Any, column: Any) -> list[tuple[str, FloatArray]]:
