@@ -13,6 +13,7 @@ RATE = 1000.0
 OTHERS = 19
 """Further channels, so that a sample takes some 200 bytes in the file."""
 
+TONES = (0.11, 0.23, 0.57, 1.3)
 BEGAN_NS = 1_760_000_000_000_000_000
 BLOCK = 10_000
 RIG = b"""
@@ -33,8 +34,8 @@ STREAM = Stream(
 )
 
 
-def write_large(path: Path, samples: int, seed: int = 1, *, end: bool = True) -> Path:
-    """Write a recording of so many samples; without ``end`` it is left as a killed recorder leaves it."""
+def write_large(path: Path, samples: int, seed: int = 1) -> Path:
+    """Write a recording of so many samples."""
     chance = np.random.default_rng(seed)
     writer = RecordingWriter(path, flush_interval=float("inf"))
     writer.attach("rig.toml", "application/toml", RIG)
@@ -44,11 +45,7 @@ def write_large(path: Path, samples: int, seed: int = 1, *, end: bool = True) ->
         batch, speed, current = _block(first, min(BLOCK, samples - first), speed, current, chance)
         writer.write(channel, batch)
         writer.event("bench", BEGAN_NS + round(first * 1e9 / RATE), {"kind": "mark", "message": f"{first}"})
-    if end:
-        return writer.finish("0", "all steps are done")
-    writer.flush()
-    writer.abandon()
-    return writer.part
+    return writer.finish("0", "all steps are done")
 
 
 def _block(
@@ -57,7 +54,7 @@ def _block(
     """Samples of the motor from where it stood; its next speed and current."""
     seq = np.arange(first, first + count, dtype=np.int64)
     t = seq / RATE
-    voltage = sum(2.0 * np.sin(2.0 * np.pi * tone * t) for tone in (0.11, 0.23, 0.57, 1.3))
+    voltage: FloatArray = 2.0 * np.sin(2.0 * np.pi * np.outer(t, TONES)).sum(axis=1)
     states: FloatArray = np.empty((count, 2))
     for row, volts in enumerate(voltage.tolist()):
         states[row] = speed, current

@@ -2,10 +2,10 @@
 
     PYTHONPATH=benchmarks python benchmarks/measuring/measure_large.py --samples 1e6 1e7 -o FILE.json
 
-Recordings of a simulated motor with 22 columns, of 10⁷ samples 2 GB; one as it was finished, and one as a killed
-recorder leaves it. Each command runs in a process of its own, whose memory is looked at every 20 ms: what it has
-for itself (``anonymous``: what a machine must have), and all that is resident, pages of files among it that the
-system takes away when it needs them.
+Recordings of a simulated motor with 22 columns, of 10⁷ samples 2.3 GB; one as it was finished, and one as a
+killed recorder leaves it. Each command runs in a process of its own, whose memory is looked at every 20 ms:
+what it has for itself (``anonymous``: what a machine must have), and all that is resident, pages of files
+among it that the system takes away when it needs them.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import os
 import platform
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -72,7 +73,9 @@ def memory_of(pid: int) -> tuple[float, float]:
 def measure(samples: int, wanted: list[str], patience: float, folder: Path) -> dict[str, Any]:
     """All commands on a recording of so many samples."""
     whole = write_large(folder / "whole.mcap", samples)
-    write_large(folder / "cut.mcap", samples, end=False)
+    cut = folder / "cut.mcap.part"
+    shutil.copyfile(whole, cut)
+    os.truncate(cut, whole.stat().st_size * 99 // 100)
     (folder / "small").mkdir()
     model = Path(write_large(folder / "small" / "model.mcap", 30_000, seed=2))
     watched(["fit", str(model), "--json", str(folder / "FIT.json")], folder, 600.0)

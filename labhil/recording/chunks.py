@@ -49,6 +49,11 @@ class Messages:
         self.pieces.append(rows)
         self.size += rows.size
 
+    def forget(self) -> None:
+        """Keep nothing of what has been read so far."""
+        self.pieces.clear()
+        self.size = 0
+
     def rows(self, size: int) -> ByteRows | None:
         """The payloads as one array of shape (n, size), or None when some have another size."""
         if not all(piece.shape[1] == _MESSAGE_HEAD + size for piece in self.pieces):

@@ -64,18 +64,18 @@ class Spool:
 
     def __init__(self, width: int) -> None:
         self._width, self._count = width, 0
-        self._file = _temporary()
+        self._file = temporary_file()
 
     def add(self, rows: FloatArray) -> None:
         """Append rows, shape (k, width)."""
         self._count += len(rows)
-        _write(self._file, np.ascontiguousarray(rows).data)
+        write_all(self._file, np.ascontiguousarray(rows).data)
 
     def finish(self) -> FloatArray:
         """Return all rows, shape (n, width), column after column: of one column, only that one is read."""
         size = 8 * self._width * self._count
         self._file.flush()
-        with self._file, _temporary() as turned:
+        with self._file, temporary_file() as turned:
             try:
                 turned.truncate(size)
                 rows = mmap.mmap(self._file.fileno(), size, access=mmap.ACCESS_READ)
@@ -95,8 +95,8 @@ class Spool:
         let_go(rows, offset)
 
 
-def _temporary() -> BinaryIO:
-    """A file without a name; not where files are kept in memory, unless the user wants it there."""
+def temporary_file() -> BinaryIO:
+    """Return a file without a name; not where files are kept in memory, unless the user wants it there."""
     chosen = any(os.environ.get(name) for name in ("TMPDIR", "TEMP", "TMP"))
     folder = None if chosen or not os.access("/var/tmp", os.W_OK) else "/var/tmp"
     try:
@@ -105,7 +105,8 @@ def _temporary() -> BinaryIO:
         raise _no_room(error) from error
 
 
-def _write(file: BinaryIO, data: memoryview) -> None:
+def write_all(file: BinaryIO, data: memoryview | bytes) -> None:
+    """Write to a temporary file; DiskFailedError where there is no room."""
     try:
         file.write(data)
     except OSError as error:

@@ -72,5 +72,4 @@ class Samples:
         rows = messages.rows(blocks.codec.size)
         decode = blocks.codec.decode(messages.payloads()) if rows is None else blocks.codec.decode_rows(rows)
         blocks.add(decode)
-        messages.pieces.clear()
-        messages.size = 0
+        messages.forget()
