@@ -88,9 +88,8 @@ def examine(variant: str, data: bytes, log: Log, begun_ns: int, killed_ns: int, 
     wrong = unheard = holes = 0
     for topic, samples in saved.items():
         published = log.get(topic, {})
-        heard = {
-            number: payload for number, payload in samples.items() if published and number >= min(published)
-        }
+        first = min(published, default=1 << 63)
+        heard = {number: payload for number, payload in samples.items() if number >= first}
         wrong += sum(published.get(number) != payload for number, payload in heard.items())
         unheard += len(samples) - len(heard)
         holes += max(samples) - min(samples) + 1 - len(samples)
@@ -101,13 +100,13 @@ def examine(variant: str, data: bytes, log: Log, begun_ns: int, killed_ns: int, 
 
 def _messages(path: Path) -> dict[str, dict[int, bytes]]:
     """The samples of a recording by mcap's own reader, by topic and number."""
-    found: dict[str, dict[int, bytes]] = {}
+    found: dict[str, list[bytes]] = {}
     with path.open("rb") as file:
         for _, channel, message in make_reader(file).iter_messages():
             if "labhil.stream" in channel.metadata:
-                number = int(stamps_of([message.data])[0, 0])
-                found.setdefault(channel.topic, {})[number] = message.data
-    return found
+                found.setdefault(channel.topic, []).append(message.data)
+    numbers = {topic: stamps_of(payloads)[:, 0].tolist() for topic, payloads in found.items()}
+    return {topic: dict(zip(numbers[topic], found[topic], strict=True)) for topic in found}
 
 
 def _lost(

@@ -10,7 +10,7 @@ import numpy as np
 
 from labhil.documents import parse_json
 from labhil.kinds import RigKind, kind_named, kind_names
-from labhil.recording.mapped import ROWS
+from labhil.recording.mapped import ROWS, let_go_of
 from labhil.recording.reader import Event, Recording, StreamData
 from labhil.recording.runs import UNIX_TIMES
 
@@ -130,6 +130,7 @@ def _range(data: StreamData, name: str) -> dict[str, float | None]:
         finite = block[np.isfinite(block)]
         lowest = min(lowest, float(finite.min(initial=np.inf)))
         highest = max(highest, float(finite.max(initial=-np.inf)))
+    let_go_of(values)
     if lowest > highest:
         return {"lowest": None, "highest": None}
     return {"lowest": lowest, "highest": highest}

@@ -12,7 +12,7 @@ from labhil.recording.formats.bag_writer import write_bag
 from labhil.recording.formats.matlab import write_mat
 from labhil.recording.formats.parquet import write_parquet
 from labhil.recording.formats.workbook import write_workbook
-from labhil.recording.mapped import ROWS
+from labhil.recording.mapped import ROWS, let_go_of
 from labhil.recording.reader import Recording, StreamData
 from labhil.signals import FloatArray, Stream
 from labhil.whole import unwritten, whole
@@ -29,6 +29,7 @@ def write_csv(stream: Stream, t: FloatArray, values: FloatArray, out: Path) -> N
             block = slice(start, start + ROWS)
             rows = np.column_stack([t[block], values[block]]).tolist()
             file.writelines(",".join(map(repr, row)) + "\n" for row in rows)
+            let_go_of(values)
 
 
 WRITERS: Mapping[str, Callable[[Stream, FloatArray, FloatArray, Path], None]] = {

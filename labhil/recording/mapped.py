@@ -10,6 +10,7 @@ import hashlib
 import mmap
 import os
 import tempfile
+import weakref
 from pathlib import Path
 from typing import BinaryIO
 
@@ -47,6 +48,16 @@ def let_go(data: FileBytes, end: int) -> None:
             data.madvise(mmap.MADV_DONTNEED, 0, whole_pages)
 
 
+def let_go_of(values: FloatArray) -> None:
+    """Give back the memory of numbers that a :class:`Spool` holds; they can be read again."""
+    base: object = values
+    while isinstance(base, np.ndarray):
+        base = base.base
+    held = base.obj if isinstance(base, memoryview) else base
+    if isinstance(held, mmap.mmap):
+        let_go(held, len(held))
+
+
 def sha256_of(data: FileBytes) -> str:
     """Return the SHA-256 of the bytes, in hexadecimal digits."""
     digest = hashlib.sha256()
@@ -65,6 +76,7 @@ class Spool:
     def __init__(self, width: int) -> None:
         self._width, self._count = width, 0
         self._file = temporary_file()
+        weakref.finalize(self, self._file.close)
 
     def add(self, rows: FloatArray) -> None:
         """Append rows, shape (k, width)."""
@@ -83,7 +95,7 @@ class Spool:
                     self._turn(rows, turned, start)
             except OSError as error:
                 raise _no_room(error) from error
-            mapped = mmap.mmap(turned.fileno(), size, access=mmap.ACCESS_COPY)
+            mapped = mmap.mmap(turned.fileno(), size, access=mmap.ACCESS_READ)
         return np.frombuffer(mapped, dtype=np.float64).reshape(self._width, self._count).T
 
     def _turn(self, rows: mmap.mmap, turned: BinaryIO, start: int) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import mmap
 import struct
+import weakref
 from array import array
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -52,6 +53,7 @@ class MessageStore(Sequence[Message]):
             return
         if self._file is None:
             self._file = temporary_file()
+            weakref.finalize(self, self._file.close)
         self._mapped = None
         write_all(self._file, head + message.data)
         self._written += len(head) + len(message.data)
