@@ -54,6 +54,9 @@ analyse = ANALYSE
 {DEVICE}
 """
 STATE = "/bench/state"
+AT_WORK = 0.7
+"""Share of the runs that are killed once they have begun to record; the others while they start, too."""
+
 COMING = (0.0, 3.0)
 """s after a process can be reached: when it is killed."""
 
@@ -123,7 +126,7 @@ def with_a_run(relay: Relay | None, folder: Path, chance: random.Random, child: 
         run = stack.enter_context(process([*NOTED, "run", "e.toml"], place))
         listener = Listener(endpoint_of(run, "run"), stack)
         moment = chance.uniform(*COMING)
-        if child:
+        if child or chance.random() < AT_WORK:
             wait_for_run(listener, run)
         time.sleep(moment)
         if run.poll() is not None:

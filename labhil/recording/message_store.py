@@ -10,10 +10,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import BinaryIO, overload
 
-from labhil.recording.mapped import temporary_file, write_all
+from labhil.recording.mapped import let_go, temporary_file, write_all
 
 IN_MEMORY = 1 << 28
 """Bytes of messages (256 MiB) that are kept in memory; what comes after them goes to a temporary file."""
+
+READS = 1 << 16
+"""Messages that are read from the disk before their pages are let go."""
 
 _HEAD = struct.Struct("<IIQQI")
 
@@ -41,6 +44,7 @@ class MessageStore(Sequence[Message]):
         self._file: BinaryIO | None = None
         self._mapped: mmap.mmap | None = None
         self._written = 0  # bytes in the file
+        self._looked_at = 0
 
     def append(self, message: Message) -> None:
         """Add a message."""
@@ -83,6 +87,9 @@ class MessageStore(Sequence[Message]):
         held: bytearray | mmap.mmap = self._memory
         if position >= len(self._memory):
             held, position = self._on_disk(), position - len(self._memory)
+            self._looked_at += 1
+            if self._looked_at % READS == 0:
+                let_go(held, len(held))
         channel, sequence, log_time, publish_time, length = _HEAD.unpack_from(held, position)
         start = position + _HEAD.size
         return Message(channel, sequence, log_time, publish_time, bytes(held[start : start + length]))
