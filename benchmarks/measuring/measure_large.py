@@ -11,6 +11,7 @@ among it that the system takes away when it needs them.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import platform
 import shutil
@@ -70,15 +71,23 @@ def memory_of(pid: int) -> tuple[float, float]:
     return own * 1.024e-3, int(sizes.get("VmRSS", 0)) * 1.024e-3
 
 
-def measure(samples: int, wanted: list[str], patience: float, folder: Path) -> dict[str, Any]:
-    """All commands on a recording of so many samples."""
-    whole = write_large(folder / "whole.mcap", samples)
-    cut = folder / "cut.mcap.part"
-    shutil.copyfile(whole, cut)
-    os.truncate(cut, whole.stat().st_size * 99 // 100)
-    (folder / "small").mkdir()
-    model = Path(write_large(folder / "small" / "model.mcap", 30_000, seed=2))
-    watched(["fit", str(model), "--json", str(folder / "FIT.json")], folder, 600.0)
+def measure(
+    samples: int, wanted: list[str], patience: float, folder: Path, made: Path | None
+) -> dict[str, Any]:
+    """All commands on a recording of so many samples; ``made`` is one that may be there already."""
+    whole = folder / "whole.mcap"
+    if made is not None and made.exists():
+        os.link(made, whole)
+    else:
+        write_large(whole, samples)
+    if "verify" in wanted:
+        (folder / "small").mkdir()
+        model = write_large(folder / "small" / "model.mcap", 30_000, seed=2)
+        watched(["fit", str(model), "--json", str(folder / "FIT.json")], folder, 600.0)
+    if "recover" in wanted:
+        cut = folder / "cut.mcap.part"
+        shutil.copyfile(whole, cut)
+        os.truncate(cut, whole.stat().st_size * 99 // 100)
     found: dict[str, Any] = {"bytes": whole.stat().st_size, "commands": {}}
     for name in wanted:
         found["commands"][name] = watched(list(COMMANDS[name]), folder, patience)
@@ -93,14 +102,19 @@ def main() -> None:
     parser.add_argument("--samples", type=float, nargs="+", default=[1e6, 1e7])
     parser.add_argument("--only", help="some of: " + ", ".join(COMMANDS))
     parser.add_argument("--patience", type=float, default=1800.0, help="s that one command may take")
-    parser.add_argument("--folder", type=Path, help="where there is room for it")
+    parser.add_argument(
+        "--folder", type=Path, help="where there is room; a recording SAMPLES.mcap there is used"
+    )
     parser.add_argument("-o", "--out", type=Path)
     options = parser.parse_args()
     result: dict[str, Any] = {"schema": "labhil.large/1", "samples": {}}
+    if options.only and options.out is not None and options.out.exists():
+        result["samples"] = json.loads(options.out.read_text())["samples"]  # the other sizes stay
     wanted = [name.strip() for name in options.only.split(",")] if options.only else list(COMMANDS)
     for samples in options.samples:
         with tempfile.TemporaryDirectory(dir=options.folder) as folder:
-            found = measure(int(samples), wanted, options.patience, Path(folder))
+            made = None if options.folder is None else options.folder / f"{int(samples)}.mcap"
+            found = measure(int(samples), wanted, options.patience, Path(folder), made)
         result["samples"][str(int(samples))] = {**found, "load_average": round(os.getloadavg()[0], 1)}
     result["machine"] = {"cores": os.cpu_count(), "python": platform.python_version()}
     tell(result, options.out)
