@@ -57,6 +57,9 @@ STATE = "/bench/state"
 AT_WORK = 0.7
 """Share of the runs that are killed once they have begun to record; the others while they start, too."""
 
+BEGUN = 4096
+"""Bytes that a recording has before its first samples, at most."""
+
 COMING = (0.0, 3.0)
 """s after a process can be reached: when it is killed."""
 
@@ -205,7 +208,9 @@ def kill_service(relay: Relay, folder: Path, chance: random.Random) -> dict[str,
         time.sleep(0.2)
     gapless(listener.streams)
     log = listener.streams
-    newest = max(place.glob("*.mcap*"), key=lambda path: path.stat().st_mtime_ns)
+    # one that has just begun holds nothing yet: what could be lost is in the one before
+    filled = [path for path in place.glob("*.mcap*") if path.stat().st_size > BEGUN]
+    newest = max(filled, key=lambda path: path.stat().st_mtime_ns)
     for path in place.glob("*.mcap*"):
         if path != newest:
             path.unlink()  # those before were ended; the one that was written to counts
