@@ -24,7 +24,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -37,7 +37,7 @@ from labhil.bus.session import Bus, open_bus
 from labhil.errors import BusError, LabhilError
 from labhil.experiment.experiment import TwinSection
 from labhil.experiment.twins import start_twin
-from labhil.link import Decoder, MessageType, State, StateFlag
+from labhil.link import Decoder, MessageType, StateFlag
 from labhil.rig_sections import Limit
 from labhil.service.hosts import HostProcess
 from labhil.service.messages import HostConfig, Setpoint
@@ -128,8 +128,8 @@ class Relay:
     def _look(self, decoder: Decoder, data: bytes) -> None:
         now = time.monotonic()
         for frame in decoder.feed(data):
-            if frame.type == MessageType.STATE:
-                safe = bool(State.unpack(frame.payload).flags & StateFlag.SAFE)
+            if frame.type in (MessageType.STATE, MessageType.SAMPLES):
+                safe = bool(frame.payload[0] & StateFlag.SAFE)  # both begin with the flags
                 if safe and not self.safe:
                     self.safe_since = now
                 self.safe = safe
@@ -293,13 +293,15 @@ def described(times: list[float], by: str) -> dict[str, Any]:
 
 
 @contextmanager
-def twin_behind_a_relay() -> Iterator[Relay]:
-    """Start a twin of the ball and beam, and what sees the last command that reaches it."""
+def twin_behind_a_relay(
+    kind: str = "ball_beam", settings: Mapping[str, float] | None = None
+) -> Iterator[Relay]:
+    """Start a twin, and what sees the last command that reaches it."""
     with ExitStack() as stack:
         directory = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         os.environ["XDG_RUNTIME_DIR"] = str(directory)  # nobody else's emergency stop is pressed
-        section = TwinSection(wire="tcp", seed=1)
-        twin, address = start_twin("bench", "ball_beam", section, directory / "twin.json", lambda: False)
+        section = TwinSection(wire="tcp", seed=1, set=dict(settings or {}))
+        twin, address = start_twin("bench", kind, section, directory / "twin.json", lambda: False)
         stack.enter_context(twin)
         relay = Relay(address)
         stack.callback(relay.close)

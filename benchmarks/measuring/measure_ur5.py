@@ -174,7 +174,7 @@ def side_by_side(seconds: float, busy: int, folder: Path) -> dict[str, Any]:
             for burner in burners:
                 burner.kill()
                 burner.wait()
-    seen = {way: np.load(folder / f"{way}.npy") for way in ways}
+    seen = {way: np.load(folder / f"{way}.npy", allow_pickle=False) for way in ways}
     first = max(stamps[0] for stamps in seen.values())
     last = min(stamps[-1] for stamps in seen.values())
     within = {way: stamps[(stamps >= first) & (stamps <= last)] for way, stamps in seen.items()}

@@ -13,6 +13,7 @@ from labhil.campaign.worker import Worker
 from labhil.experiment.interruption import Interruption
 from labhil.experiment.lab import Lab, load_lab
 from labhil.experiment.lab_service import LabService, folder_of
+from labhil.memory import keep_few_arenas
 from labhil.supervised import SupervisedThread
 from labhil.terminal import show
 
@@ -31,6 +32,7 @@ def serve_lab(
     # without a file nothing is known of where its user keeps things
     place = folder_of(lab, folder if folder is not None or config is not None else Path())
     endpoint = None if connect is None else check_loopback(connect)
+    keep_few_arenas()
     with Interruption() as interrupted, open_bus(endpoint) as bus:
         show(bus.endpoint)
         worker = Worker(place, lab.lab.analyse, bus, say)

@@ -8,7 +8,7 @@ from typing import Self
 
 from labhil.bus.latch import read_latch
 from labhil.ending import Handled
-from labhil.errors import EmergencyStopError, LabhilError
+from labhil.errors import CommandRefusedError, EmergencyStopError, LabhilError
 
 
 class Interruption:
@@ -42,9 +42,24 @@ class Interruption:
 
 def raise_standing_stop() -> None:
     """Raise EmergencyStopError where an emergency stop stands, heard without any device or the bus."""
+    standing = _standing()
+    if standing is not None:
+        raise standing
+
+
+def in_place_of(error: LabhilError | None) -> LabhilError | None:
+    """Return the emergency stop that stands, where nothing failed or a device only refuses because of it.
+
+    Any other ``error`` came before the stop, and is returned as it is.
+    """
+    if error is None or isinstance(error, CommandRefusedError):
+        return _standing() or error
+    return error
+
+
+def _standing() -> EmergencyStopError | None:
     try:
         standing = read_latch()
     except (LabhilError, OSError):
-        return  # a directory that cannot be read is no stop; hosts look there as well
-    if standing is not None:
-        raise EmergencyStopError(standing.describe())
+        return None  # a directory that cannot be read is no stop; hosts look there as well
+    return None if standing is None else EmergencyStopError(standing.describe())

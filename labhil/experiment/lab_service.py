@@ -25,6 +25,7 @@ from labhil.experiment.remote import offer_status
 from labhil.experiment.result import free_path
 from labhil.experiment.twins import start_twin
 from labhil.host_clock import session_clock, unix_ns
+from labhil.memory import give_back
 from labhil.recording.rig_attachments import rig_attachments
 from labhil.service.hosts import HostProcess
 from labhil.service.recorder import Recorder, RecordingSummary
@@ -155,6 +156,7 @@ class LabService:
         self._began = time.monotonic()
         if before is not None:
             self._tell(before.finish("0", "the next recording began"))
+            give_back()
 
     def _tell(self, summary: RecordingSummary) -> None:
         self._say(f"recorded {summary.path}")

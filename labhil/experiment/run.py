@@ -35,7 +35,7 @@ from labhil.experiment.control import RunControl, RunState
 from labhil.experiment.devices import Devices, at_once, host_config
 from labhil.experiment.experiment import TWIN, Experiment
 from labhil.experiment.hooks import Hook
-from labhil.experiment.interruption import Interruption, raise_standing_stop
+from labhil.experiment.interruption import Interruption, in_place_of, raise_standing_stop
 from labhil.experiment.plan import DevicePlan, Plan, make_plan
 from labhil.experiment.points import is_campaign
 from labhil.experiment.remote import offer_control
@@ -185,13 +185,13 @@ class _Run:
             except _Enough as enough:
                 reason = str(enough)
             except LabhilError as found:
-                error = found
+                error = in_place_of(found)
             except Exception as found:  # noqa: BLE001 - a fault of ours must not look like a run that has ended well
                 error = RunError(f"the run itself failed: {found!r}")
                 error.__cause__ = found
             finally:
                 failure = self._stop(recorder, devices, error, reason)
-            error = error or failure
+            error = in_place_of(error or failure)
             reason = reason if error is None else str(error)
             self._transition(RunState.FINISHED if error is None else RunState.FAILED, reason)
             subscriptions.close()

@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from typing import Any
@@ -23,6 +23,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from labhil.bounds import Budget, ImplausibleError
 from labhil.codec import ByteRows
+from labhil.recording.mapped import STRIDE, FileBytes, let_go
 from labhil.recording.packing import unpack
 from labhil.signals import IntArray
 from labhil.terminal import printable_name
@@ -31,12 +32,27 @@ _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<BQH")
 _MESSAGE_HEAD = 22  # channel u16, sequence u32, log time u64, publish time u64
 
+BLOCK = 1 << 25
+"""Bytes of messages of one channel (32 MiB) that are decoded together."""
+
 
 @dataclass(slots=True)
 class Messages:
-    """The messages of one channel, in the order of the file, as pieces of rows of bytes."""
+    """The messages of one channel, in the order of the file, as pieces of rows of bytes; ``size`` is all of
+    them, in bytes."""
 
     pieces: list[ByteRows] = field(default_factory=list)
+    size: int = 0
+
+    def add(self, rows: ByteRows) -> None:
+        """Append rows of bytes, shape (k, bytes of a message)."""
+        self.pieces.append(rows)
+        self.size += rows.size
+
+    def forget(self) -> None:
+        """Keep nothing of what has been read so far."""
+        self.pieces.clear()
+        self.size = 0
 
     def rows(self, size: int) -> ByteRows | None:
         """The payloads as one array of shape (n, size), or None when some have another size."""
@@ -72,7 +88,7 @@ class Contents:
     damage: str = ""
 
 
-def is_mcap(data: bytes) -> bool:
+def is_mcap(data: FileBytes) -> bool:
     """Whether a file begins as an MCAP file does."""
     return data[: len(MCAP0_MAGIC)] == MCAP0_MAGIC
 
@@ -81,13 +97,18 @@ class RedescribedError(ValueError):
     """The number of a channel has another meaning from here on: what follows is of another file."""
 
 
-def scan(data: bytes) -> Contents:
+OnBlock = Callable[[Channel, Messages], None]
+"""Is given a channel and what has been read of it, when that is much; what it takes away is kept no more."""
+
+
+def scan(data: FileBytes, on_block: OnBlock | None = None) -> Contents:
     """Read all that can be read of an MCAP file, with or without its end.
 
-    ImplausibleError when it claims to hold more than a file of its size can.
+    ``on_block`` keeps what is read small. ImplausibleError when it claims to hold more than a file of its
+    size can.
     """
     contents, budget = Contents(), Budget.of(len(data))
-    position = len(MCAP0_MAGIC)
+    position, let_go_at = len(MCAP0_MAGIC), 0
     while position + _RECORD.size <= len(data):
         opcode, length = _RECORD.unpack_from(data, position)
         start, end = position + _RECORD.size, position + _RECORD.size + length
@@ -107,10 +128,22 @@ def scan(data: bytes) -> Contents:
             contents.damage = f"byte {position}: a damaged record was left out: {error}"
         if opcode == Opcode.FOOTER and len(data) - end == len(MCAP0_MAGIC) and data[end:] == MCAP0_MAGIC:
             return contents
+        if end - let_go_at > STRIDE:
+            let_go(data, end)
+            let_go_at = end
+            _hand_over(contents, on_block)
         position = end
     missing = f"the file ends after {len(data)} bytes, without the end that a finished recording has"
     contents.damage = f"{contents.damage}; {missing}" if contents.damage else missing
     return contents
+
+
+def _hand_over(contents: Contents, on_block: OnBlock | None) -> None:
+    if on_block is None:
+        return
+    for number, messages in contents.messages.items():
+        if messages.size > BLOCK and number in contents.channels:
+            on_block(contents.channels[number], messages)
 
 
 def _take(contents: Contents, opcode: int, body: bytes, budget: Budget) -> None:
@@ -130,7 +163,7 @@ def _take(contents: Contents, opcode: int, body: bytes, budget: Budget) -> None:
     elif opcode == Opcode.MESSAGE:  # a file without chunks
         _refuse_short(len(body))
         row = np.frombuffer(body, dtype=np.uint8)[np.newaxis]
-        contents.messages[int.from_bytes(body[:2], "little")].pieces.append(row)
+        contents.messages[int.from_bytes(body[:2], "little")].add(row)
 
 
 def _unpacked(chunk: Chunk, budget: Budget) -> bytes:
@@ -169,11 +202,10 @@ def _take_chunk(contents: Contents, raw: bytes, budget: Budget) -> None:
         starts, lengths = np.array(found).T
         if (lengths == lengths[0]).all():
             rows: Any = sliding_window_view(flat, lengths[0])[starts]
-            contents.messages[channel].pieces.append(rows)
+            contents.messages[channel].add(rows)
         else:
-            contents.messages[channel].pieces.extend(
-                flat[np.newaxis, start : start + length] for start, length in found
-            )
+            for start, length in found:
+                contents.messages[channel].add(flat[np.newaxis, start : start + length])
 
 
 def _records(raw: bytes) -> Iterator[tuple[int, int, int, int]]:

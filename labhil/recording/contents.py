@@ -10,6 +10,7 @@ import numpy as np
 
 from labhil.documents import parse_json
 from labhil.kinds import RigKind, kind_named, kind_names
+from labhil.recording.mapped import ROWS, let_go_of
 from labhil.recording.reader import Event, Recording, StreamData
 from labhil.recording.runs import UNIX_TIMES
 
@@ -123,10 +124,16 @@ def _stream(recording: Recording, data: StreamData) -> dict[str, Any]:
 
 def _range(data: StreamData, name: str) -> dict[str, float | None]:
     values = data[name]
-    finite = values[np.isfinite(values)]
-    if not finite.size:
+    lowest, highest = np.inf, -np.inf
+    for start in range(0, len(values), ROWS):
+        block = values[start : start + ROWS]
+        finite = block[np.isfinite(block)]
+        lowest = min(lowest, float(finite.min(initial=np.inf)))
+        highest = max(highest, float(finite.max(initial=-np.inf)))
+    let_go_of(values)
+    if lowest > highest:
         return {"lowest": None, "highest": None}
-    return {"lowest": float(finite.min()), "highest": float(finite.max())}
+    return {"lowest": lowest, "highest": highest}
 
 
 def _is_routine(event: Event) -> bool:

@@ -29,6 +29,10 @@ LARGEST = 16384
 """As many stamps are looked at; of more, those that came in with the least delay."""
 
 
+MOST_PIECES = 512
+"""Pieces that stamps stand in before they are put together."""
+
+
 @dataclass(frozen=True, slots=True)
 class DeviceClock:
     """One device's clock against the host's: it showed ``t_device_ns`` at Unix time ``t_host_ns``.
@@ -91,6 +95,8 @@ class ClockWatch:
         self._next = int(seq[-1]) + 1
         self._kept.append(np.column_stack([t_acq_ns, t_hw_ns, seq]))
         self._count += len(seq)
+        if len(self._kept) > MOST_PIECES:  # an array of one sample takes ten times what is in it
+            self._kept = [np.concatenate(self._kept)]
         while self._count > LARGEST * 2:
             thinned = _least_delayed(np.concatenate(self._kept))
             self._kept, self._count = [thinned], len(thinned)

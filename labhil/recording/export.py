@@ -12,6 +12,7 @@ from labhil.recording.formats.bag_writer import write_bag
 from labhil.recording.formats.matlab import write_mat
 from labhil.recording.formats.parquet import write_parquet
 from labhil.recording.formats.workbook import write_workbook
+from labhil.recording.mapped import ROWS, let_go_of
 from labhil.recording.reader import Recording, StreamData
 from labhil.signals import FloatArray, Stream
 from labhil.whole import unwritten, whole
@@ -22,10 +23,13 @@ BAG = ".rosbag2"
 
 def write_csv(stream: Stream, t: FloatArray, values: FloatArray, out: Path) -> None:
     """Write a header line, the column ``t`` (s), then the signals, as digits that give the same doubles."""
-    rows = np.column_stack([t, values]).tolist()
-    lines = [",".join(("t", *stream.columns()))]
-    lines += [",".join(map(repr, row)) for row in rows]
-    out.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    with out.open("w", encoding="utf-8", newline="\n") as file:
+        file.write(",".join(("t", *stream.columns())) + "\n")
+        for start in range(0, len(t), ROWS):
+            block = slice(start, start + ROWS)
+            rows = np.column_stack([t[block], values[block]]).tolist()
+            file.writelines(",".join(map(repr, row)) + "\n" for row in rows)
+            let_go_of(values)
 
 
 WRITERS: Mapping[str, Callable[[Stream, FloatArray, FloatArray, Path], None]] = {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,11 +10,11 @@ from typing import Any
 import numpy as np
 from mcap.records import Channel
 
-from labhil.bounds import ImplausibleError, read_file
-from labhil.codec import Codec, stream_from_json
+from labhil.bounds import ImplausibleError
+from labhil.codec import stream_from_json
 from labhil.documents import parse_json
 from labhil.errors import ProtocolError, RecordingError, suggestion
-from labhil.recording.chunks import Contents, Messages, is_mcap, scan
+from labhil.recording.chunks import Contents, is_mcap, scan
 from labhil.recording.clock import ClockFit, fit_clock
 from labhil.recording.clock_faults import ClockFault, clock_faults
 from labhil.recording.device_clocks import (
@@ -24,8 +23,10 @@ from labhil.recording.device_clocks import (
     device_clock,
     offsets_between,
 )
+from labhil.recording.mapped import FileBytes, bytes_of, sha256_of
 from labhil.recording.rig_attachments import attached_rig
 from labhil.recording.runs import MixedRunsError, Run, choose_run, runs_of
+from labhil.recording.samples import Samples
 from labhil.recording.stamps import HOST_CLOCK, Stamps, in_time_of
 from labhil.rig import RigFile
 from labhil.signals import Batch, Direction, FloatArray, IntArray, Stream
@@ -273,18 +274,18 @@ def read_recording(path: Path, run: int | None = None) -> Recording:
 
 
 def _read(path: Path, run: int | None) -> Recording:
-    data = _bytes_of(path)
+    data, samples = _bytes_of(path), Samples()
     try:
-        contents = scan(data)
+        contents = scan(data, samples.take)
     except ImplausibleError as error:
         raise RecordingError(f"{path}: {error}; `labhil recover` saves what is plausible of it") from error
-    topics = _topics(path, contents)
+    topics = _topics(path, contents, samples)
     untimed, span = choose_run(path, topics, run)
     origin_ns = min((int(s.t_acq_ns[0]) for s in untimed if len(s)), default=0)
     streams = _timed(untimed, origin_ns)
     return Recording(
         path=path,
-        sha256=hashlib.sha256(data).hexdigest(),
+        sha256=sha256_of(data),
         streams=streams,
         rig=attached_rig(path, _without(contents.attachments, contents.ambiguous)),
         attachments=contents.attachments,
@@ -310,9 +311,9 @@ def _foreign(contents: Contents) -> tuple[str, ...]:
     )
 
 
-def _bytes_of(path: Path) -> bytes:
+def _bytes_of(path: Path) -> FileBytes:
     try:
-        data = read_file(path)
+        data = bytes_of(path)
     except OSError as error:
         part = Path(f"{path}.part")
         beside = f"; beside it lies {part}, which was not finished" if part.exists() else ""
@@ -327,7 +328,7 @@ def _bytes_of(path: Path) -> bytes:
     return data
 
 
-def _topics(path: Path, contents: Contents) -> list[list[StreamData]]:
+def _topics(path: Path, contents: Contents, samples: Samples) -> list[list[StreamData]]:
     """Decode the runs of each topic of ours, by time; their times of analysis are not known yet."""
     channels: dict[tuple[str, Stream], list[tuple[Mapping[str, str], Batch]]] = {}
     for channel in contents.channels.values():
@@ -335,7 +336,7 @@ def _topics(path: Path, contents: Contents) -> list[list[StreamData]]:
             continue
         try:
             stream = stream_from_json(channel.metadata["labhil.stream"])
-            batch = _decode(Codec(stream), contents.messages[channel.id])
+            batch = samples.batch(channel, contents.messages[channel.id])
             _check_stamps(batch)
             _speed(channel.metadata)
             device = _device(channel)
@@ -408,11 +409,6 @@ def _check_stamps(batch: Batch) -> None:
             raise ValueError(
                 f"message {wrong[0]}: expected a {name} within ±{LARGEST_STAMP}, found {stamps[wrong[0]]}"
             )
-
-
-def _decode(codec: Codec, messages: Messages) -> Batch:
-    rows = messages.rows(codec.size)
-    return codec.decode(messages.payloads()) if rows is None else codec.decode_rows(rows)
 
 
 def holes(seq: IntArray) -> int:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -17,50 +15,21 @@ from mcap.records import Message as StoredMessage
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
-from labhil.bounds import read_file
 from labhil.errors import RecordingError, RecordingFailedError
 from labhil.recording.chunks import is_mcap, scan
+from labhil.recording.mapped import FileBytes, bytes_of, sha256_of
+from labhil.recording.message_store import Message
 from labhil.recording.reorder import Ordered, reorder
-from labhil.recording.salvage import Loss, Message, Salvage, salvage
+from labhil.recording.salvage import Loss, Salvage, salvage
+from labhil.recording.saved_streams import StreamRecovery, Tally, lines_of
 from labhil.recording.writer import CHUNK_SIZE
-from labhil.terminal import printable_name
 from labhil.version import __version__
 
 METADATA = "recover"
-MOST_SPANS = 5
-"""Spans of lost samples that are told of one stream, the longest first."""
-
 UNFINISHED = ".saving"
 """Added to the name until what was written has been looked at; ``.part`` is a recorder's."""
 
 LARGEST_RECORD = 1 << 32
-SEQUENCE_WRAPS = 1 << 32
-
-
-@dataclass(frozen=True, slots=True)
-class Span:
-    """``missing`` numbers are not there between two messages; times in s from the first message saved."""
-
-    start: float
-    end: float
-    missing: int
-
-
-@dataclass(frozen=True, slots=True)
-class StreamRecovery:
-    """What became of one channel.
-
-    ``expected`` is how many messages the broken file says it held, None where it does not say;
-    ``indexed`` how many were in damaged chunks, by their index; ``spans`` where numbers are missing.
-    """
-
-    topic: str
-    saved: int
-    expected: int | None
-    indexed: int
-    start: float
-    end: float
-    spans: tuple[Span, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +98,7 @@ class Recovery:
         if self.moved:
             lines.append(f"mended: {self.moved} messages stood behind later ones, and were put in order")
         lines += self.notes
-        lines += [line for stream in self.streams for line in _stream_lines(stream)]
+        lines += [line for stream in self.streams for line in lines_of(stream)]
         if not self.losses and self.ended:
             lines.append("nothing was lost")
         return lines
@@ -193,21 +162,24 @@ def recover(source: Path, out: Path, *, keep_doubtful: bool = False) -> Recovery
             f"{source}: expected an MCAP recording, found a file that begins with {data[:8]!r} and holds no "
             "whole chunk of one; nothing was written"
         )
-    known = [message for message in found.messages if message.channel in found.channels]
+    known: Sequence[Message] = found.messages
+    nameless = sum(message.channel not in found.channels for message in found.messages)
+    if nameless:
+        known = [message for message in found.messages if message.channel in found.channels]
     if not known:
         raise RecordingError(
             f"{source}: expected messages to save, found none that is whole in {len(data)} bytes; "
             "nothing was written"
         )
     ordered = reorder(known, found.channels)
-    result = _account(source, data, out, found, ordered)
+    result = _account(source, data, out, found, ordered, nameless)
     _write(found, ordered.messages, result, out)
     return result
 
 
-def _bytes_of(source: Path) -> bytes:
+def _bytes_of(source: Path) -> FileBytes:
     try:
-        data = read_file(source)
+        data = bytes_of(source)
     except OSError as error:
         raise RecordingError(f"{source}: cannot be read: {error.strerror}") from error
     if not data:
@@ -215,38 +187,28 @@ def _bytes_of(source: Path) -> bytes:
     return data
 
 
-def _account(source: Path, data: bytes, out: Path, found: Salvage, ordered: Ordered) -> Recovery:
-    known = ordered.messages
-    by_channel: defaultdict[int, list[Message]] = defaultdict(list)
-    for message in known:
-        by_channel[message.channel].append(message)
-    origin = min(message.log_time for message in known)
+def _account(
+    source: Path, data: FileBytes, out: Path, found: Salvage, ordered: Ordered, nameless: int
+) -> Recovery:
+    tallies: defaultdict[int, Tally] = defaultdict(Tally)
+    for message in ordered.messages:
+        tallies[message.channel].take(message)
+    origin = min(tally.first for tally in tallies.values())
     # the statistics of a file that is pieced together count by numbers that mean several things
     counted = found.statistics is not None and not found.spliced
     told = found.statistics.channel_message_counts if found.statistics and counted else {}
-    if any(len(messages) > told.get(number, 0) for number, messages in by_channel.items()):
+    if any(tally.count > told.get(number, 0) for number, tally in tallies.items()):
         told = {}  # they are those of a part of it only
     indexed: Counter[int] = Counter()
     for loss in found.losses:
         indexed.update(loss.messages)
     streams = []
     for number, channel in found.channels.items():
-        messages = by_channel[number]
-        times = [(message.log_time - origin) * 1e-9 for message in messages]
-        streams.append(
-            StreamRecovery(
-                topic=channel.topic,
-                saved=len(messages),
-                expected=told.get(number, 0) - ordered.copies.get(number, 0) if told else None,
-                indexed=indexed[number],
-                start=min(times, default=0.0),
-                end=max(times, default=0.0),
-                spans=tuple(_spans(messages, origin)),
-            )
-        )
+        expected = told.get(number, 0) - ordered.copies.get(number, 0) if told else None
+        streams.append(tallies[number].recovery(channel.topic, expected, indexed[number], origin))
     return Recovery(
         source=source,
-        sha256=hashlib.sha256(data).hexdigest(),
+        sha256=sha256_of(data),
         path=out,
         size=len(data),
         chunks=found.chunks,
@@ -254,7 +216,7 @@ def _account(source: Path, data: bytes, out: Path, found: Salvage, ordered: Orde
         attachments=tuple(attachment.name for attachment in found.attachments),
         metadata=tuple(metadata.name for metadata in found.metadata),
         losses=tuple(found.losses),
-        nameless=sum(message.channel not in found.channels for message in found.messages),
+        nameless=nameless,
         doubtful=found.doubtful,
         spliced=found.spliced,
         ended=found.ended,
@@ -264,34 +226,9 @@ def _account(source: Path, data: bytes, out: Path, found: Salvage, ordered: Orde
     )
 
 
-def _spans(messages: Sequence[Message], origin: int) -> Iterator[Span]:
-    """Where numbers are missing in the sequence of a channel that counts its messages."""
-    for before, after in pairwise(messages):
-        missing = (after.sequence - before.sequence) % SEQUENCE_WRAPS - 1
-        if 0 < missing < SEQUENCE_WRAPS // 2 and after.log_time > before.log_time:
-            yield Span((before.log_time - origin) * 1e-9, (after.log_time - origin) * 1e-9, missing)
-
-
 def _indexed(loss: Loss) -> str:
     count = sum(loss.messages.values())
     return f"; its index names {count} messages" if count else ""
-
-
-def _stream_lines(stream: StreamRecovery) -> Iterator[str]:
-    line = f"{printable_name(stream.topic)}: {stream.saved} messages saved"
-    if stream.saved:
-        line += f", {stream.start:.3f} to {stream.end:.3f} s"
-    if stream.expected is not None and stream.expected != stream.saved:
-        line += f"; {stream.expected - stream.saved} of {stream.expected} lost"
-    elif stream.indexed:
-        line += f"; {stream.indexed} lost with damaged chunks"
-    yield line
-    longest = sorted(stream.spans, key=lambda span: span.missing, reverse=True)
-    for span in sorted(longest[:MOST_SPANS], key=lambda span: span.start):
-        yield f"  {span.missing} missing between {span.start:.3f} and {span.end:.3f} s"
-    if len(longest) > MOST_SPANS:
-        rest = sum(span.missing for span in longest[MOST_SPANS:])
-        yield f"  {rest} more missing in {len(longest) - MOST_SPANS} shorter gaps"
 
 
 def _write(found: Salvage, known: Sequence[Message], result: Recovery, out: Path) -> None:
@@ -383,12 +320,17 @@ def _verify(path: Path, found: Salvage, known: Sequence[Message]) -> None:
     statistics = None if summary is None else summary.statistics
     counted = 0 if statistics is None else statistics.message_count
     found_rest = (attachments, metadata[:-1]) == (found.attachments, found.metadata)
-    if (compared, counted) != (len(known), len(known)) or not found_rest or scan(path.read_bytes()).damage:
+    if (compared, counted) != (len(known), len(known)) or not found_rest or _damage(path):
         raise RecordingFailedError(
             f"{path}: expected {len(known)} messages, the attachments and the metadata back, found "
             f"{compared} messages ({counted} by its own statistics), {len(attachments)} attachments and "
             f"{len(metadata)} metadata records"
         )
+
+
+def _damage(path: Path) -> str:
+    """What our own reader finds wrong with a file."""
+    return scan(bytes_of(path), lambda _channel, messages: messages.forget()).damage
 
 
 def _compare(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -11,8 +11,11 @@ from mcap.records import Channel
 
 from labhil.codec import stamps_of
 from labhil.errors import ProtocolError
+from labhil.recording.message_store import Message
 from labhil.recording.runs import MixedRunsError, late, order_of
-from labhil.recording.salvage import Message
+
+BLOCK = 1 << 14
+"""Messages that are looked at together."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +25,7 @@ class Ordered:
     ``notes`` say of which channels the order could not be found, and which hold several runs.
     """
 
-    messages: tuple[Message, ...]
+    messages: Sequence[Message]
     copies: Mapping[int, int]
     moved: int
     notes: tuple[str, ...]
@@ -38,13 +41,12 @@ def reorder(messages: Sequence[Message], channels: Mapping[int, Channel]) -> Ord
         messages: As they stand in the file.
         channels: What their numbers stand for.
     """
-    places: defaultdict[int, list[int]] = defaultdict(list)
-    for place, message in enumerate(messages):
-        if "labhil.stream" in channels[message.channel].metadata:
-            places[message.channel].append(place)
-    result: list[Message | None] = list(messages)
+    result: list[Message | None] | None = None
     copies, moved, notes = {}, 0, []
-    for number, mine in places.items():
+    for number, mine in _places(messages, channels).items():
+        if _counts_up(messages, mine):
+            copies[number] = 0
+            continue
         topic, single = channels[number].topic, list(dict.fromkeys(messages[place] for place in mine))
         try:
             stamps = stamps_of([message.data for message in single])
@@ -57,7 +59,33 @@ def reorder(messages: Sequence[Message], channels: Mapping[int, Channel]) -> Ord
         copies[number] = len(mine) - len(single)
         moved += sum(late(stamps[np.sort(run), 0]) for run in runs)
         ordered = [single[place] for place in np.concatenate(runs).tolist()]
+        result = list(messages) if result is None else result
         for place, message in zip(mine, [*ordered, *[None] * copies[number]], strict=True):
             result[place] = message
-    kept = tuple(message for message in result if message is not None)
-    return Ordered(kept, copies, moved, tuple(notes))
+    if result is None:
+        return Ordered(messages, copies, moved, tuple(notes))
+    return Ordered(tuple(message for message in result if message is not None), copies, moved, tuple(notes))
+
+
+def _places(messages: Sequence[Message], channels: Mapping[int, Channel]) -> dict[int, array[int]]:
+    """Where the messages of each stream of ours stand, by its channel."""
+    found: dict[int, array[int]] = {}
+    ours = {number for number, channel in channels.items() if "labhil.stream" in channel.metadata}
+    for place, message in enumerate(messages):
+        if message.channel in ours:
+            found.setdefault(message.channel, array("Q")).append(place)
+    return found
+
+
+def _counts_up(messages: Sequence[Message], places: array[int]) -> bool:
+    """Whether the samples at these places count up as they stand: then each stands once, and in order."""
+    before = None
+    for start in range(0, len(places), BLOCK):
+        try:
+            seq = stamps_of([messages[place].data for place in places[start : start + BLOCK]])[:, 0]
+        except ProtocolError:
+            return False
+        if not (np.diff(seq) > 0).all() or (before is not None and seq[0] <= before):
+            return False
+        before = int(seq[-1])
+    return True

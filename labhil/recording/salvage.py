@@ -22,6 +22,8 @@ from mcap.writer import MCAP0_MAGIC
 from labhil.bounds import FREE, LARGEST_CHUNK, RATIO, Budget, ImplausibleError
 from labhil.recording.chunks import is_mcap
 from labhil.recording.definitions import Definitions
+from labhil.recording.mapped import STRIDE, FileBytes, let_go
+from labhil.recording.message_store import Message, MessageStore
 from labhil.recording.packing import unpack, unpack_prefix
 from labhil.recording.whole_records import (
     CHUNK,
@@ -53,17 +55,6 @@ INDEXES = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Message:
-    """One message as it stood in the file; times in ns (Unix)."""
-
-    channel: int
-    sequence: int
-    log_time: int
-    publish_time: int
-    data: bytes
-
-
 @dataclass(slots=True)
 class Loss:
     """Bytes ``start`` to ``end`` of the file that hold nothing whole; ``what`` says why.
@@ -85,7 +76,7 @@ class Salvage:
     profile: str = ""
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
-    messages: list[Message] = field(default_factory=list)
+    messages: MessageStore = field(default_factory=MessageStore)
     attachments: list[Attachment] = field(default_factory=list)
     metadata: list[Metadata] = field(default_factory=list)
     statistics: Statistics | None = None
@@ -96,7 +87,7 @@ class Salvage:
     ended: bool = False
 
 
-def salvage(data: bytes, *, keep_doubtful: bool = False) -> Salvage:
+def salvage(data: FileBytes, *, keep_doubtful: bool = False) -> Salvage:
     """Find all that is whole in the bytes of an MCAP file, wherever it is damaged.
 
     ``keep_doubtful`` takes the messages of chunks whose checksum is wrong, as far as they can be told
@@ -106,7 +97,7 @@ def salvage(data: bytes, *, keep_doubtful: bool = False) -> Salvage:
 
 
 class _Walk:
-    def __init__(self, data: bytes, keep_doubtful: bool) -> None:
+    def __init__(self, data: FileBytes, keep_doubtful: bool) -> None:
         self._data = data
         self._keep_doubtful = keep_doubtful
         self._found = Salvage()
@@ -119,7 +110,7 @@ class _Walk:
     def walk(self) -> Salvage:
         """Go through the file from its first byte to its last."""
         data, found = self._data, self._found
-        position = len(MCAP0_MAGIC) if is_mcap(data) else 0
+        position, let_go_at = len(MCAP0_MAGIC) if is_mcap(data) else 0, 0
         while position < len(data):
             if found.ended and is_end(data, position):
                 break
@@ -137,6 +128,9 @@ class _Walk:
             else:
                 self._take(opcode, body)
             position = end
+            if end - let_go_at > STRIDE:
+                let_go(data, end)
+                let_go_at = end
         self._judge_stray()
         names = self._names
         names.settle({message.channel for message in found.messages})

@@ -18,6 +18,7 @@ from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
 from labhil.bounds import LARGEST_CHUNK, Work
+from labhil.recording.mapped import FileBytes
 
 RECORD = struct.Struct("<BQ")
 CHUNK = struct.Struct("<QQQII")  # start and end time, size and CRC of the content, length of the name
@@ -46,7 +47,7 @@ class ChunkHeader:
     crc: int
 
 
-def chunk_header(data: bytes, position: int) -> ChunkHeader | None:
+def chunk_header(data: FileBytes, position: int) -> ChunkHeader | None:
     """Read the head of a chunk at ``position``; None when its lengths contradict each other."""
     if len(data) < position + RECORD.size + CHUNK.size + 8 or data[position] != Opcode.CHUNK:
         return None
@@ -64,7 +65,7 @@ def chunk_header(data: bytes, position: int) -> ChunkHeader | None:
     return ChunkHeader(content, content + packed, compression, size, crc)
 
 
-def whole_record(data: bytes, position: int, work: Work | None = None) -> int | None:
+def whole_record(data: FileBytes, position: int, work: Work | None = None) -> int | None:
     """Where the record at ``position`` ends, or None when it is not whole in itself.
 
     Looking into a record takes its length from ``work``; what it no longer suffices for is not whole.
@@ -87,12 +88,12 @@ def whole_record(data: bytes, position: int, work: Work | None = None) -> int | 
         return None
 
 
-def is_end(data: bytes, position: int) -> bool:
+def is_end(data: FileBytes, position: int) -> bool:
     """Whether nothing but the magic bytes of the end stand from ``position`` on."""
     return len(data) - position == len(MCAP0_MAGIC) and data[position:] == MCAP0_MAGIC
 
 
-def next_record(data: bytes, position: int) -> int:
+def next_record(data: FileBytes, position: int) -> int:
     """Where the next whole record begins that another one, or the end, follows; else the file's length."""
     work = Work.of(len(data))  # records that claim to reach far would be looked through again and again
     for candidate in _CANDIDATE.finditer(data, position):
@@ -114,7 +115,7 @@ def sound_checksum(stored: int, calculated: int, *, whole_size: bool) -> bool:
     return differing == 0 or (whole_size and (stored == 0 or differing == 1))
 
 
-def _begins(data: bytes, position: int) -> bool:
+def _begins(data: FileBytes, position: int) -> bool:
     """Whether a record seems to begin here: one that ends within the file, or a chunk that is cut off."""
     if position + RECORD.size > len(data):
         return True

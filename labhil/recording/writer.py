@@ -58,6 +58,7 @@ class RecordingWriter:
         if path.exists():
             raise RecordingError(f"{path}: expected a new file, found one that exists; nothing was written")
         self._file = _create(self.part)
+        _keep_name(self.part)
         self._writer = Writer(self._file, chunk_size=CHUNK_SIZE, compression=CompressionType.LZ4)
         self._flushed_at = time.monotonic()
         with self._guarded():
@@ -164,6 +165,7 @@ class RecordingWriter:
             os.fsync(self._file.fileno())
             self._file.close()
             self.part.replace(self.path)
+            _keep_name(self.path)
         self._finished = True
         return self.path
 
@@ -210,6 +212,18 @@ def media_type(name: str) -> str:
         ".txt": "text/plain",
     }
     return types.get(Path(name).suffix, "application/octet-stream")
+
+
+def _keep_name(path: Path) -> None:
+    """Force the name of a file to the disk: without it a power failure leaves bytes that nobody finds."""
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        with suppress(
+            OSError
+        ):  # some file systems (FUSE, SMB) refuse that of a folder, and keep names by themselves
+            os.fsync(folder)
+    finally:
+        os.close(folder)
 
 
 def _create(part: Path) -> BinaryIO:

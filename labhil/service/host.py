@@ -65,6 +65,8 @@ def serve_device(config: HostConfig, ended: EndOfInput) -> str:
 
     Raises LabhilError: what the driver or the bus raised.
     """
+    if ended():
+        return ended()  # whoever started this process is gone: nobody is on the bus
     driver = load_driver(config.plugin)(config.address)
     with open_bus(config.connect) as bus:
         try:

@@ -155,6 +155,8 @@ class Recorder:
             self._finished = True
             self._stop()
             self._guarded(self._write_rest, exit_status, reason)
+            for channel in self._channels.values():
+                channel.clock = None  # megabytes of stamps, which are written now
             self.failure = self.failure or self._deaf
         if self.failure is not None:
             raise self.failure

@@ -81,3 +81,15 @@ def test_a_clock_that_stands_still_is_none():
     watch.add(START_NS + np.arange(100, dtype=np.int64), np.zeros(100, dtype=np.int64))
     assert watch.clock() is None
     assert ClockWatch().clock() is None
+
+
+def test_stamps_that_come_one_by_one_are_kept_as_those_that_come_together():
+    t_hw_ns = np.arange(3000, dtype=np.int64) * 10_000_000
+    t_acq_ns = t_hw_ns + 1_700_000_000_000_000_000
+    together, one_by_one = ClockWatch(), ClockWatch()
+    together.add(t_acq_ns, t_hw_ns)
+    for k in range(len(t_hw_ns)):
+        one_by_one.add(t_acq_ns[k : k + 1], t_hw_ns[k : k + 1])
+    a, b = together.stamps(100.0), one_by_one.stamps(100.0)
+    assert np.array_equal(a.t_hw_ns, b.t_hw_ns) and np.array_equal(a.seq, b.seq)
+    assert len(one_by_one._kept) < 1000

@@ -11,7 +11,11 @@ from labhil.bounds import ImplausibleError, refuse_claim
 from labhil.errors import TableError
 from labhil.extras import load_optional
 from labhil.recording.formats.columns import NumberColumns, number_columns, number_of
+from labhil.recording.mapped import let_go_of
 from labhil.signals import FloatArray, Stream
+
+ROW_GROUP = 1 << 18
+"""Rows that are written at a time."""
 
 
 def read_parquet(path: Path) -> NumberColumns:
@@ -61,8 +65,13 @@ def write_parquet(stream: Stream, t: FloatArray, values: FloatArray, out: Path) 
         arrow.field(name, arrow.float64(), metadata={"unit": unit})
         for name, unit in zip(("t", *stream.columns()), units, strict=True)
     ]
-    columns = [arrow.array(column) for column in (t, *values.T)]
-    parquet.write_table(arrow.table(columns, schema=arrow.schema(fields)), out)
+    schema = arrow.schema(fields)
+    with parquet.ParquetWriter(out, schema) as writer:
+        for start in range(0, max(len(t), 1), ROW_GROUP):
+            block = slice(start, start + ROW_GROUP)
+            columns = [arrow.array(column) for column in (t[block], *values[block].T)]
+            writer.write_table(arrow.table(columns, schema=schema))
+            let_go_of(values)
 
 
 def _numbers(arrow: Any, column: Any) -> list[tuple[str, FloatArray]]:

@@ -1,0 +1,234 @@
+"""The emergency stop in every state of a run, pressed in every way. A command, no test:
+
+    PYTHONPATH=benchmarks python benchmarks/measuring/measure_estop.py --repeat 3 -o FILE.json
+
+A run drives a twin behind a relay that sees when the device is safe (as in ``measure_safety.py``). The stop
+is pressed while the run starts, runs, is paused, or ends; and while it runs on a machine with twice as many
+busy processes as cores, or with a full disk. It is pressed by its file, by a question on the bus, by
+``labhil estop``, and by the key in a terminal UI. Each time the stop has to stand afterwards, the device has
+to be safe, and the run's exit status (1) and its recording have to say that it was an emergency stop.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import pty
+import resource
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from kill_trials import read_all
+from labhil.bus import latch
+from labhil.bus.ask import ask, ask_all
+from labhil.bus.keys import RUN, command_key
+from labhil.bus.session import Bus, open_bus
+from labhil.errors import BusError, CommandRefusedError, LabhilError
+from labhil.recording.reader import read_recording
+from measure_safety import EXPERIMENT, Relay, twin_behind_a_relay
+from measured import tell
+from victims import endpoint_of, process, wait_until
+
+LABHIL = [sys.executable, "-P", "-m", "labhil"]
+STATES = ("starting", "running", "paused", "stopping", "running, busy machine", "running, disk full")
+STOP_KEY = b"\x1b[24~"
+"""F12, as a terminal sends it."""
+
+
+class Run:
+    """A run of its own, and its bus."""
+
+    def __init__(self, relay: Relay, folder: Path, stack: ExitStack) -> None:
+        (folder / "e.toml").write_text(EXPERIMENT.replace("ADDRESS", relay.address))
+        self.folder, self.relay = folder, relay
+        self.process = stack.enter_context(process([*LABHIL, "run", "e.toml"], folder))
+        self.endpoint = endpoint_of(self.process, "run")
+        self.bus: Bus = stack.enter_context(open_bus(self.endpoint))
+
+    def control(self, what: str) -> None:
+        ask(self.bus, command_key(RUN, what), {"reason": "measured"}, 5.0, patience=10.0)
+
+    def bring_to(self, state: str, stack: ExitStack) -> None:
+        """Let the run be in this state; it may be over before anything is pressed while it stops."""
+        if state == "starting":
+            return
+        self.relay.wait(safe=False)
+        time.sleep(0.5)
+        if state == "paused":
+            self.control("pause")
+        elif state == "stopping":
+            threading.Thread(target=self._stop_in_the_background).start()
+        elif state == "running, busy machine":
+            for _ in range(2 * (os.cpu_count() or 1)):
+                stack.enter_context(busy())
+            time.sleep(0.5)
+        elif state == "running, disk full":
+            (part,) = self.folder.glob("*.part")
+            resource.prlimit(self.process.pid, resource.RLIMIT_FSIZE, (part.stat().st_size,) * 2)
+
+    def _stop_in_the_background(self) -> None:
+        with suppress(LabhilError):
+            self.control("stop")
+
+
+@contextmanager
+def busy() -> Iterator[None]:
+    """A process that counts."""
+    counting = subprocess.Popen([sys.executable, "-c", "while True: pass"])
+    try:
+        yield
+    finally:
+        counting.kill()
+        counting.wait()
+
+
+def by_file(_run: Run) -> None:
+    latch.press("the meter", "measured")
+
+
+def by_bus(run: Run) -> None:
+    """Ask every host that is there until one has answered; while a run starts there is none yet."""
+    deadline = time.monotonic() + 20.0
+    while time.monotonic() < deadline:
+        payload = {"action": "press", "by": "the meter", "reason": "measured"}
+        answers = ask_all(run.bus, command_key("*", "estop"), payload, 1.0)
+        if any(not isinstance(answer, (BusError, CommandRefusedError)) for answer in answers.values()):
+            return
+        if run.process.poll() is not None:
+            return
+        time.sleep(0.05)
+
+
+def by_command(run: Run) -> None:
+    done = subprocess.run(
+        [*LABHIL, "estop", "--reason", "measured"],
+        cwd=run.folder,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if not latch.read_latch():
+        raise ValueError(f"labhil estop: exit {done.returncode}: {done.stderr}")
+
+
+def by_key(run: Run) -> None:
+    """Press the key in a terminal UI beside the run, as soon as it draws something."""
+    ours, theirs = pty.openpty()
+    environment = {**os.environ, "TERM": "xterm-256color"}
+    command = [*LABHIL, "tui", "--connect", run.endpoint]
+    screen = subprocess.Popen(
+        command, cwd=run.folder, stdin=theirs, stdout=theirs, stderr=theirs, env=environment,
+        start_new_session=True,
+    )  # fmt: skip
+    os.close(theirs)
+    reader = threading.Thread(target=read_all, args=(ours,))
+    reader.start()
+    try:
+        deadline = time.monotonic() + 30.0
+        while latch.read_latch() is None and time.monotonic() < deadline:
+            time.sleep(0.5)
+            with suppress(OSError):
+                os.write(ours, STOP_KEY)
+    finally:
+        screen.kill()
+        screen.wait()
+        reader.join()
+
+
+WAYS: dict[str, Callable[[Run], None]] = {
+    "file": by_file,
+    "bus": by_bus,
+    "command": by_command,
+    "key": by_key,
+}
+
+
+TOO_LATE = {"starting": ("key",), "stopping": ("command", "key")}
+"""Ways that take seconds themselves: the run is in another state by then."""
+
+
+def pressed(relay: Relay, state: str, way: str) -> dict[str, Any]:
+    """Press the stop once, and return what came of it."""
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        run = Run(relay, folder, stack)
+        run.bring_to(state, stack)
+        if run.process.poll() is not None:
+            raise ValueError("the run had ended before")
+        was_active, began = not relay.safe, time.monotonic()
+        WAYS[way](run)
+        run.process.wait(60)
+        found: dict[str, Any] = {"exit_status": run.process.returncode}
+        found["latched"] = latch.read_latch() is not None
+        found["device_safe"] = relay.safe
+        if was_active and way in ("file", "bus") and relay.safe:
+            found["safe_after_ms"] = round(1e3 * (relay.safe_since - began), 1)
+        found["said"] = (folder / "said.txt").read_text()[-160:]
+        paths = list(folder.glob("*.mcap*"))
+        recording = read_recording(paths[0]) if paths else None
+        end = {} if recording is None else recording.metadata.get("end", {})
+        found["recorded_reason"] = end.get("reason", "no end")
+        if "commands stopped" in found["recorded_reason"]:
+            raise ValueError("the machine was too busy: the watchdog had ended the run before")
+        found["recorded"] = recording is not None and any(
+            "emergency stop" in str(event.body.get("message", "")) for event in recording.events
+        )
+    return found
+
+
+def right(trial: dict[str, Any]) -> bool:
+    """Whether the stop stands, the device is safe, and exit status and recording say why."""
+    said = "emergency stop" in trial["recorded_reason"] or trial["recorded"]
+    return bool(trial["latched"] and trial["device_safe"] and trial["exit_status"] == 1 and said)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--repeat", type=int, default=3)
+    parser.add_argument("--only", help="parts of names of states or ways: a,b,…")
+    parser.add_argument("-o", "--out", type=Path)
+    options = parser.parse_args()
+    result: dict[str, Any] = {"schema": "labhil.estop-states/1", "cells": {}}
+    if options.only and options.out is not None and options.out.exists():
+        result["cells"] = json.loads(options.out.read_text())["cells"]  # the other cells stay
+    with twin_behind_a_relay() as relay:
+        for state in STATES:
+            for way in WAYS:
+                name = f"{state}, by {way}"
+                if way in TOO_LATE.get(state, ()):
+                    continue
+                if options.only and not any(part in name for part in options.only.split(",")):
+                    continue
+                trials = []
+                for _ in range(options.repeat):
+                    try:
+                        trials.append(pressed(relay, state, way))
+                    except (LabhilError, TimeoutError, ValueError, subprocess.TimeoutExpired) as error:
+                        trials.append({"not_set_up": str(error)})
+                    latch.release()
+                    wait_until(lambda: relay.safe, "the device is safe")
+                    print(f"{name}: {trials[-1]}", file=sys.stderr, flush=True)
+                valid = [trial for trial in trials if "not_set_up" not in trial]
+                cell = {"pressed": len(valid), "right": sum(map(right, valid)), "trials": trials}
+                result["cells"][name] = {**cell, "load_average": round(os.getloadavg()[0], 1)}
+                if options.out is not None:
+                    tell(result, options.out)
+    cells = result["cells"].values()
+    result["pressed"], result["right"] = (sum(cell[key] for cell in cells) for key in ("pressed", "right"))
+    safe = [t["safe_after_ms"] for cell in cells for t in cell["trials"] if "safe_after_ms" in t]
+    result["largest_ms"] = max(safe, default=None)
+    result["machine"] = {"cores": os.cpu_count(), "python": platform.python_version()}
+    tell(result, options.out)
+
+
+if __name__ == "__main__":
+    main()

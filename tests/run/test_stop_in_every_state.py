@@ -1,0 +1,43 @@
+"""The emergency stop in every state of a run: exit status and recording say so."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from labhil.bus import latch
+from labhil.errors import CommandRefusedError, DeviceError, EmergencyStopError
+from labhil.experiment.interruption import in_place_of
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks" / "measuring"))
+
+
+@pytest.fixture(autouse=True)
+def no_stop_stands() -> Iterator[None]:
+    yield
+    latch.release()
+
+
+def test_a_stop_takes_the_place_of_a_good_end_and_of_a_refusal_and_of_nothing_else() -> None:
+    refusal, failure = CommandRefusedError("an emergency stop stands"), DeviceError("the wire is gone")
+    assert (in_place_of(None), in_place_of(refusal), in_place_of(failure)) == (None, refusal, failure)
+    latch.press("a test", "the ball jumped")
+    for error in (None, refusal):
+        found = in_place_of(error)
+        assert isinstance(found, EmergencyStopError) and found.exit_status == 1
+        assert "the ball jumped" in str(found)
+    assert in_place_of(failure) is failure
+
+
+@pytest.mark.extended
+@pytest.mark.parametrize("state", ["starting", "running", "paused", "stopping", "running, disk full"])
+def test_a_stop_ends_a_run_in_every_state(state: str) -> None:
+    import measure_estop
+    from measure_safety import twin_behind_a_relay
+
+    with twin_behind_a_relay() as relay:
+        trial = measure_estop.pressed(relay, state, "file")
+    assert measure_estop.right(trial), trial
