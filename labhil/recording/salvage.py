@@ -43,6 +43,9 @@ _DESCRIPTIONS: dict[int, Any] = {Opcode.SCHEMA: Schema.read, Opcode.CHANNEL: Cha
 _INNER = {Opcode.MESSAGE, *_DESCRIPTIONS}
 """What stands in chunks."""
 
+BEFORE_INDEX = {Opcode.CHUNK, Opcode.MESSAGE_INDEX}
+"""What an index of messages stands behind; by one wrong bit in its first byte it is a message."""
+
 INDEXES = {
     Opcode.MESSAGE_INDEX,
     Opcode.CHUNK_INDEX,
@@ -120,6 +123,7 @@ class _Walk:
         """Go through the file from its first byte to its last."""
         data, found = self._data, self._found
         position = len(MCAP0_MAGIC) if is_mcap(data) else 0
+        before = 0
         while position < len(data):
             if found.ended and is_end(data, position):
                 break
@@ -132,11 +136,11 @@ class _Walk:
             self._resumed = self._resumed and opcode in _INNER
             if opcode == Opcode.CHUNK:
                 self._take_chunk(position, end)
-            elif self._resumed:
+            elif self._resumed or (opcode == Opcode.MESSAGE and before in BEFORE_INDEX):
                 self._take_stray(opcode, position, body)
             else:
                 self._take(opcode, body)
-            position = end
+            position, before = end, opcode
         self._judge_stray()
         names = self._names
         names.settle({message.channel for message in found.messages})
