@@ -6,12 +6,16 @@ import asyncio
 import os
 import signal
 import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
 from typing import Protocol
 
 from textual.app import App
 
 ENDINGS = (signal.SIGTERM, signal.SIGHUP)
-SERVER_INTERVAL = 0.5
+SERVER = "LABHIL_WEB_SERVER"
+"""The variable that holds the process of the web server, for the process of a page."""
 
 
 class Asked(Protocol):
@@ -28,15 +32,31 @@ def end_in_order(app: App[None], runner: Asked) -> None:
         runner.ask("stop", f"the terminal UI was ended by {number.name}")
         app.exit(return_code=128 + number)
 
-    if threading.current_thread() is threading.main_thread():
-        loop = asyncio.get_running_loop()
-        for each in ENDINGS:
-            loop.add_signal_handler(each, end, each)
-    if app.is_web:
-        server = os.getppid()
+    if threading.current_thread() is not threading.main_thread():
+        return
+    loop = asyncio.get_running_loop()
+    for each in ENDINGS:
+        loop.add_signal_handler(each, end, each)
+    if app.is_web and SERVER in os.environ:
+        server = int(os.environ[SERVER])
+        threading.Thread(
+            target=_end_with,
+            args=(server, lambda: loop.call_soon_threadsafe(end, signal.SIGHUP)),
+            daemon=True,
+        ).start()
 
-        def look() -> None:
-            if os.getppid() != server:
-                end(signal.SIGHUP)
 
-        app.set_interval(SERVER_INTERVAL, look)
+def _end_with(
+    server: int, end: Callable[[], object], *, interval: float = 0.5, patience: float = 20.0
+) -> None:
+    """End this process with its server, by force where it does not end in order within ``patience`` s.
+
+    A screen that draws into a broken pipe may not come to its end. The run that it started sees the end of
+    its input in either case, and ends in order.
+    """
+    while os.getppid() == server:
+        time.sleep(interval)
+    with suppress(RuntimeError):  # the loop has ended already
+        end()
+    time.sleep(patience)
+    os._exit(1)

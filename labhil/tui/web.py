@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import shlex
 import signal
 import socket
@@ -22,6 +23,7 @@ from textual_serve.download_manager import DownloadManager
 
 from labhil.errors import UsageError
 from labhil.terminal import complain, show
+from labhil.tui.endings import SERVER
 from labhil.tui.web_gate import Gate, is_loopback
 
 ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -52,6 +54,7 @@ def serve_web(folder: Path, connect: Sequence[str], *, light: bool, host: str, p
     listening = _listen(host, port)
     options = ["--folder", str(folder), *(part for each in connect for part in ("--connect", each))]
     command = [sys.executable, "-P", "-m", "labhil", "tui", *options, *(["--light"] if light else [])]
+    os.environ[SERVER] = str(os.getpid())
     # without exec a shell would stand between the page's process and this one, and outlive it
     pages = Pages("exec " + shlex.join(command), Gate.at(host))
     with listening:

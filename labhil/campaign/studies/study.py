@@ -32,7 +32,8 @@ class Task:
     The ``recordings`` of a comparison are the results whose models are compared.
 
     ``terms`` are those of a fit's model or a diagnosis' baseline, None for the rig kind's own; ``seconds`` is
-    how long it may take before it ends with the best so far.
+    how long it may take before it ends with the best so far; ``device`` which one, where a recording holds
+    several.
     """
 
     kind: str
@@ -42,6 +43,7 @@ class Task:
     terms: tuple[str, ...] | None = None
     estimator: str | None = None
     seconds: float | None = None
+    device: str | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Return the task as plain data."""
@@ -53,6 +55,7 @@ class Task:
             "terms": None if self.terms is None else list(self.terms),
             "estimator": self.estimator,
             "seconds": self.seconds,
+            "device": self.device,
         }
 
     @classmethod
@@ -67,13 +70,14 @@ class Task:
             None if terms is None else tuple(map(str, terms)),
             data["estimator"],
             data["seconds"],
+            data["device"],
         )
 
     @property
     def title(self) -> str:
         """What it is, for a person."""
         names = ", ".join(path.name.removesuffix(".mcap").removesuffix(".json") for path in self.recordings)
-        return f"{self.kind} {names}"
+        return f"{self.kind} {names}" + ("" if self.device is None else f" {self.device}")
 
 
 def progress(text: str) -> None:
@@ -84,7 +88,7 @@ def progress(text: str) -> None:
 def do(task: Task) -> dict[str, Any]:
     """Do it; return what is told at the end. Raises LabhilError."""
     first = task.recordings[0]
-    stem = first.name.removesuffix(".part").removesuffix(".mcap")
+    stem = stem_of(task)
     if task.kind == "export":
         return {"done": [str(_export(path)) for path in task.recordings]}
     if task.kind == "verify":
@@ -108,12 +112,19 @@ def do(task: Task) -> dict[str, Any]:
     return {"done": str(path)}
 
 
+def stem_of(task: Task) -> str:
+    """What the names of its results begin with."""
+    stem = task.recordings[0].name.removesuffix(".part").removesuffix(".mcap")
+    return stem if task.device is None else f"{stem}.{task.device}"
+
+
 def _given(task: Task, model: str) -> dict[str, Any]:
     """What the task gives a fit or a diagnosis; ``model`` is the name of the model's argument."""
     return {
         "test": task.tests or None,
         model: task.model,
         "seconds": task.seconds,
+        "device": task.device,
         "progress": progress,
         "warn": _warn,
     }
@@ -163,9 +174,11 @@ def _verify(task: Task) -> dict[str, Any]:
 
     assert task.model is not None
     losses: list[str] = []
-    result = verify(task.recordings[0], task.model, progress=progress, warn=losses.extend)
+    first = task.recordings[0]
+    result = verify(first, task.model, device=task.device, progress=progress, warn=losses.extend)
+    path = _write_json(free_name(first.parent, stem_of(task), "verification.json"), result.to_dict())
     text = "\n".join([*losses, result.text(width=100)])
-    return {"done": text, "consistent": not result.contradicted}
+    return {"done": text, "consistent": not result.contradicted, "path": str(path)}
 
 
 def _compare(task: Task) -> dict[str, Any]:
