@@ -17,7 +17,7 @@ import aiohttp
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 CHROMIUM = next((found for name in NAMES if (found := shutil.which(name))), None)
-PATIENCE = 60.0
+PATIENCE = 150.0
 CODES = {"Enter": 13, "Escape": 27, "F12": 123, "F9": 120, "ArrowDown": 40, "Tab": 9}
 
 

@@ -34,13 +34,13 @@ pytest.importorskip("textual_serve", reason="needs labhil's extra web")
 
 from labhil.tui.web_gate import user_of  # noqa: E402 - needs the extra
 
-PATIENCE = 60.0
+PATIENCE = 150.0
 MOVING = 16_384
 PICTURES = Path(__file__).parents[2] / "docs" / "tui"
 
 Talk = Callable[["aiohttp.ClientWebSocketResponse", str], Awaitable[None]]
 
-pytestmark = pytest.mark.timeout(300)
+pytestmark = pytest.mark.timeout(600)
 
 EXPERIMENT = """
 [experiment]
@@ -95,14 +95,14 @@ async def seen(link: aiohttp.ClientWebSocketResponse, text: str) -> None:
 
 async def closed(link: aiohttp.ClientWebSocketResponse) -> int | None:
     """Wait until the server has closed the page, and return why."""
-    async with asyncio.timeout(3 * PATIENCE):
+    async with asyncio.timeout(PATIENCE):
         while not link.closed:
             await link.receive()
     return link.close_code
 
 
 async def until(condition: Callable[[], object]) -> None:
-    async with asyncio.timeout(2 * PATIENCE):
+    async with asyncio.timeout(PATIENCE):
         while not condition():
             await asyncio.sleep(0.05)
 
@@ -266,7 +266,7 @@ def test_a_killed_server_leaves_no_page_behind(folder: Path) -> None:
 
         in_page(address, look)
         assert started
-        left = psutil.wait_procs(started, timeout=2 * PATIENCE)[1]
+        left = psutil.wait_procs(started, timeout=PATIENCE)[1]
         for page in left:
             page.kill()
         assert left == []
