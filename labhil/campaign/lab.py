@@ -34,8 +34,8 @@ def serve_lab(
     place = folder_of(lab, folder if folder is not None or config is not None else Path())
     endpoint = None if connect is None else check_loopback(connect)
     with Interruption() as interrupted, open_bus(endpoint) as bus:
-        show(bus.endpoint)
         worker = Worker(place, Policies.of(lab).tasks, bus, say)
+        show(bus.endpoint)  # what appears in the folder from now on is studied
         done = threading.Event()
         at_work = SupervisedThread(lambda: _work(worker, done, say), "worker")
         bus.attend(at_work)  # the service ends in order where nothing is analysed any more
