@@ -29,6 +29,11 @@ LARGEST_WIDTH = 1 << 16
 """Scalar columns that a stream from outside may declare: a tactile skin or a spectrum has thousands."""
 
 STAMPS = ("seq", "t_acq_ns", "t_hw_ns")
+STAMP_NOTES = (
+    " counts what the device sent\n",
+    " ns; Unix time of the host at acquisition, one for all samples of a burst\n",
+    " ns; the device's own clock\n",
+)
 STAMP_OFFSETS = (1, 10, 19)
 """Where the three stamps stand in a message of any stream (bytes)."""
 
@@ -150,7 +155,15 @@ class Codec:
             proto.proto3_optional = True
             proto.oneof_index = len(message.oneof_decl)
             message.oneof_decl.add(name=f"_{field.name}")
+        self._comment(file)
         return file
+
+    def _comment(self, file: Any) -> None:
+        """Put unit and meaning of each field beside it, where programs that show the schema look."""
+        notes = [*STAMP_NOTES, *(_note(signal) for signal in self.stream.signals)]
+        for index, note in enumerate(notes):
+            # a path in a descriptor: of the messages (4) the first (0), of its fields (2) this one
+            file.source_code_info.location.add(path=(4, 0, 2, index), span=(0, 0, 0), leading_comments=note)
 
     def _decode_foreign(self, payloads: Sequence[bytes]) -> Batch:
         from google.protobuf.message import DecodeError
@@ -244,6 +257,11 @@ def _check_sizes(stream: Stream) -> None:
         raise ValueError(f"expected a positive rate, found {stream.rate}")
     if stream.width > LARGEST_WIDTH:
         raise ValueError(f"expected at most {LARGEST_WIDTH} columns, found {stream.width}")
+
+
+def _note(signal: Signal) -> str:
+    words = (signal.unit, signal.description, signal.direction.value)
+    return f" {'; '.join(word for word in words if word)}\n"
 
 
 def _fields(stream: Stream) -> Iterator[_Field]:

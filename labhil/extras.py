@@ -38,6 +38,8 @@ PACKAGES: Mapping[str, Package] = {
     "scipy": Package("scipy", "analysis"),
     "matplotlib": Package("matplotlib", "plots"),
     "textual": Package("textual", "tui"),
+    "textual_serve": Package("textual-serve", "web"),
+    "aiohttp": Package("aiohttp", "web"),
     "rtde_control": UR_RTDE,
     "rtde_io": UR_RTDE,
     "mujoco": Package("mujoco", "arm"),

@@ -36,7 +36,7 @@ SIZES = ((80, 24), (100, 30), (160, 50), (40, 10))
 SHARE_OF_BINDINGS = 0.6
 """How often the next key is one that is bound where the walk is."""
 SHARE_OF_SIZES = 0.03
-WORKS = ("f", "d", "x", "v")
+WORKS = ("f", "d", "x", "v", "k")
 """Keys that may start a study, a process of its own each: pressed with the share below of their chances."""
 SHARE_OF_WORK = 0.02
 

@@ -24,6 +24,7 @@ from labhil_benchmarks.key_walks import Walk, fill, walk
 from measured import tell
 
 ROOT = Path(__file__).parents[2]
+RESULTS = ("results", "compared")
 
 
 def main() -> None:
@@ -58,7 +59,7 @@ def walk_all(seeds: list[int], length: int) -> list[Walk]:
         # an emergency stop that is pressed here stops nothing elsewhere
         os.environ["XDG_RUNTIME_DIR"] = place
         recordings = sorted((ROOT / "recordings").glob("*.mcap"))[:2]
-        results = sorted((ROOT / "tests" / "tui" / "results").iterdir())
+        results = sorted(file for kind in RESULTS for file in (ROOT / "tests" / "tui" / kind).iterdir())
         folder = fill(Path(place) / "bench", recordings, results)
         with Session() as lab:
             return [asyncio.run(walk(folder, lab, seed, length)) for seed in seeds]

@@ -23,6 +23,7 @@ from labhil.rig import RigFile
 
 if TYPE_CHECKING:
     from labhil.api.model import Model
+    from labhil.api.python_plan import PlanResult, PythonPlan
     from labhil.api.recording import Recording
     from labhil.experiment.campaign import CampaignResult
     from labhil.experiment.result import Progress, RunResult
@@ -216,6 +217,54 @@ class Experiment:
             return run_campaign(
                 self._file, path_of(out, "out"), tell, announce or (lambda _text: None), anew=anew
             )
+
+    def run_plan(
+        self, plan: Callable[[], PythonPlan], out: PathLike = ".", *, progress: RunProgress = None
+    ) -> PlanResult:
+        """Let a generator say what comes next: it yields steps, and is given what was recorded of them.
+
+        Each yield is a run of its own with this experiment's devices, checks and hook, and a recording of its
+        own; the steps of this experiment itself are not run. What is yielded is checked against the limits
+        before a device moves. Between two runs every device is in its safe state, and a simulated one begins
+        anew.
+
+        Args:
+            plan: A function without arguments that makes the generator. It yields a step, or a list of steps,
+                as in ``steps``; with one device the name of the device may be left out. The value of
+                ``yield`` is the :class:`Recording`. A run that fails raises its error there; a run that a
+                person ends, and the emergency stop, end the plan.
+            out: The folder for the recordings.
+            progress: As for :meth:`execute`.
+
+        Returns:
+            ``recordings``, their paths, and ``value``, what the generator returned.
+
+        Raises:
+            ExperimentFileError: What was yielded cannot be run.
+            RunError: A run failed and the plan did not take its error; its notes name the recordings.
+
+        Example:
+            >>> import tempfile
+            >>> import labhil as lh
+            >>> experiment = lh.Experiment(
+            ...     "search", devices={"bench": {"plugin": "dc_motor", "address": "twin"}},
+            ...     steps=[{"device": "bench", "signal": "voltage", "excitation": "hold", "level": 0.0,
+            ...             "duration": 1.0}])
+            >>> def find_break_away():
+            ...     for level in (0.5, 4.0):
+            ...         rec = yield {"signal": "voltage", "excitation": "hold", "level": level,
+            ...                      "duration": 1.0}
+            ...         if rec["speed"].max() > 10.0:
+            ...             return level
+            >>> with tempfile.TemporaryDirectory() as folder:
+            ...     found = experiment.run_plan(find_break_away, folder)
+            >>> found.value, len(found.recordings)
+            (4.0, 2)
+        """
+        from labhil.api.python_plan import run_plan
+
+        with _teller(progress) as tell:
+            return run_plan(self._file, plan, path_of(out, "out"), tell)
 
     def run(self, out: PathLike = ".", *, progress: RunProgress = None) -> Recording:
         """Run it; see :func:`labhil.run`."""

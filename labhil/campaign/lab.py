@@ -9,6 +9,7 @@ from pathlib import Path
 
 from labhil.bus.register import check_loopback
 from labhil.bus.session import open_bus
+from labhil.campaign.policies import Policies, check_policies
 from labhil.campaign.worker import Worker
 from labhil.experiment.interruption import Interruption
 from labhil.experiment.lab import Lab, load_lab
@@ -29,13 +30,14 @@ def serve_lab(
     Prints the bus's endpoint. Raises ExperimentFileError, RigFileError or UsageError before anything starts.
     """
     lab = load_lab(config) if config is not None else _example()
+    check_policies(lab)
     # without a file nothing is known of where its user keeps things
     place = folder_of(lab, folder if folder is not None or config is not None else Path())
     endpoint = None if connect is None else check_loopback(connect)
     keep_few_arenas()
     with Interruption() as interrupted, open_bus(endpoint) as bus:
-        show(bus.endpoint)
-        worker = Worker(place, lab.lab.analyse, bus, say)
+        worker = Worker(place, Policies.of(lab).tasks, bus, say)
+        show(bus.endpoint)  # what appears in the folder from now on is studied
         done = threading.Event()
         at_work = SupervisedThread(lambda: _work(worker, done, say), "worker")
         bus.attend(at_work)  # the service ends in order where nothing is analysed any more

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from labhil.commands.json_flag import JsonFlagCommand, JsonOption
-from labhil.console import deliver, refuse_unwritable, tell
+from labhil.console import deliver, refuse_unwritable, tell, write_json
 from labhil.terminal import show, status
 
 RunOption = Annotated[
@@ -23,6 +23,7 @@ def add_files(app: typer.Typer) -> None:
         import_
     )
     app.command(epilog="Example: labhil export run.mcap -o run.csv")(export)
+    app.command(epilog="Example: labhil layout run.mcap -o bench.json")(layout)
     app.command(epilog="Example: labhil recover broken.mcap -o saved.mcap")(recover)
     app.command(cls=JsonFlagCommand, epilog="Example: labhil info run.mcap")(info)
     app.command("list", cls=JsonFlagCommand, epilog="Example: labhil list recordings --tag cold --rig axis")(
@@ -136,6 +137,32 @@ def export(
     found = read_recording(recording, run).of_device(device)
     tell(found.losses())
     show(write_table(found, out, stream))
+
+
+def layout(
+    what: Annotated[
+        str, typer.Argument(metavar="RECORDING|DRIVER", help="A recording, or a name of `labhil devices`.")
+    ],
+    out: Annotated[Path, typer.Option("-o", "--out", help="The layout to write (.json).")],
+    device: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="With a driver: the device's name in experiments (bench)."),
+    ] = None,
+) -> None:
+    """Write a layout for Foxglove: a chart for each unit of a rig's signals, and the states below.
+
+    Foxglove opens the recording itself; PlotJuggler and rerun do, too, and need no layout.
+    """
+    from labhil.plugins import load_driver
+    from labhil.recording.foxglove import foxglove_layout
+    from labhil.recording.reader import read_recording
+
+    if what.endswith((".mcap", ".part")):
+        streams = [(data.device, data.stream) for data in read_recording(Path(what)).streams if len(data)]
+    else:
+        streams = [(device or "bench", load_driver(what).spec.stream)]
+    write_json(foxglove_layout(streams), out)
+    show(out)
 
 
 def recover(

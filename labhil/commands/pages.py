@@ -16,6 +16,7 @@ GUIDES: Mapping[str, str] = {
     "labhil firmware": "docs/how-to/flash-firmware.md",
     "labhil import": "docs/how-to/import-and-export.md",
     "labhil export": "docs/how-to/import-and-export.md",
+    "labhil layout": "docs/how-to/other-viewers.md",
     "labhil recover": "docs/how-to/import-and-export.md",
     "labhil terms": "docs/reference/terms.md",
     "labhil fit": "docs/tutorials/refit.md",

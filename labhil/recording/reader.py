@@ -23,6 +23,7 @@ from labhil.recording.device_clocks import (
     device_clock,
     offsets_between,
 )
+from labhil.recording.event_schemas import published
 from labhil.recording.mapped import FileBytes, bytes_of, sha256_of
 from labhil.recording.rig_attachments import attached_rig
 from labhil.recording.runs import MixedRunsError, Run, choose_run, runs_of
@@ -474,7 +475,7 @@ def _events(contents: Contents, origin_ns: int, streams: Sequence[StreamData]) -
                 found = data.clock.map
                 begin = float(found.steady_host(np.zeros(1))[0])
                 t = (found.device(host) + begin - start) * data.speed
-            events.append(Event(device, topic, t_ns, t, _body(payload)))
+            events.append(Event(device, topic, t_ns, t, published(_body(payload), t_ns)))
     return tuple(sorted(events, key=lambda event: event.t_ns))
 
 

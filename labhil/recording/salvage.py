@@ -45,6 +45,9 @@ _DESCRIPTIONS: dict[int, Any] = {Opcode.SCHEMA: Schema.read, Opcode.CHANNEL: Cha
 _INNER = {Opcode.MESSAGE, *_DESCRIPTIONS}
 """What stands in chunks."""
 
+BEFORE_INDEX = {Opcode.CHUNK, Opcode.MESSAGE_INDEX}
+"""What an index of messages stands behind; by one wrong bit in its first byte it is a message."""
+
 INDEXES = {
     Opcode.MESSAGE_INDEX,
     Opcode.CHUNK_INDEX,
@@ -110,7 +113,8 @@ class _Walk:
     def walk(self) -> Salvage:
         """Go through the file from its first byte to its last."""
         data, found = self._data, self._found
-        position, let_go_at = len(MCAP0_MAGIC) if is_mcap(data) else 0, 0
+        position = len(MCAP0_MAGIC) if is_mcap(data) else 0
+        before, let_go_at = 0, 0
         while position < len(data):
             if found.ended and is_end(data, position):
                 break
@@ -123,11 +127,11 @@ class _Walk:
             self._resumed = self._resumed and opcode in _INNER
             if opcode == Opcode.CHUNK:
                 self._take_chunk(position, end)
-            elif self._resumed:
+            elif self._resumed or (opcode == Opcode.MESSAGE and before in BEFORE_INDEX):
                 self._take_stray(opcode, position, body)
             else:
                 self._take(opcode, body)
-            position = end
+            position, before = end, opcode
             if end - let_go_at > STRIDE:
                 let_go(data, end)
                 let_go_at = end

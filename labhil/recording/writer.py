@@ -22,7 +22,9 @@ from mcap.writer import CompressionType, Writer
 
 from labhil.codec import LAYOUT_VERSION, Codec, stamps_of, stream_to_json
 from labhil.errors import ProtocolError, RecordingError, RecordingFailedError
-from labhil.signals import Batch, Stream
+from labhil.recording.event_schemas import schema_of, stamped
+from labhil.recording.log_times import LogTimes
+from labhil.signals import Batch, Direction, Stream
 from labhil.version import __version__
 
 FLUSH_INTERVAL = 0.2
@@ -54,6 +56,7 @@ class RecordingWriter:
         self.failure: str | None = None
         self._finished = False
         self._codecs: dict[int, Codec] = {}
+        self._log_times: dict[int, LogTimes] = {}
         self._json_channels: dict[str, int] = {}
         if path.exists():
             raise RecordingError(f"{path}: expected a new file, found one that exists; nothing was written")
@@ -75,6 +78,7 @@ class RecordingWriter:
             "labhil.layout": LAYOUT_VERSION,
             "labhil.stream": stream_to_json(stream),
             "device": device,
+            **{f"labhil.unit.{signal.name}": signal.unit for signal in stream.signals},
         }
         with self._guarded():
             schema = self._writer.register_schema(
@@ -83,6 +87,8 @@ class RecordingWriter:
             topic = f"/{device}/{stream.name}"
             channel = int(self._writer.register_channel(topic, MessageEncoding.Protobuf, schema, told))
         self._codecs[channel] = codec
+        if any(signal.direction is not Direction.REQUESTED for signal in stream.signals):
+            self._log_times[channel] = LogTimes(float(told.get("speed", "1")))
         return channel
 
     def write(self, channel: int, samples: Batch | Sequence[bytes]) -> None:
@@ -102,9 +108,11 @@ class RecordingWriter:
         stamps = stamps_of(payloads)
         if (stamps < 0).any():  # such a log time makes a file that nobody can read
             raise ProtocolError(f"stream {codec.stream.name!r}: expected stamps of 0 or more, found negative")
+        times = self._log_times.get(channel)  # what was asked for has no clock of the device
+        log_ns = stamps[:, 1] if times is None else times.of(stamps[:, 1], stamps[:, 2])
         with self._guarded():
-            for payload, (seq, t_acq_ns, _) in zip(payloads, stamps.tolist(), strict=True):
-                self._writer.add_message(channel, t_acq_ns, payload, t_acq_ns, seq & 0xFFFFFFFF)
+            for payload, seq, t_ns in zip(payloads, stamps[:, 0].tolist(), log_ns.tolist(), strict=True):
+                self._writer.add_message(channel, t_ns, payload, t_ns, seq & 0xFFFFFFFF)
         self.flush_when_due()
 
     def event(self, device: str, t_ns: int, body: Mapping[str, Any], *, topic: str = EVENT_TOPIC) -> None:
@@ -114,13 +122,13 @@ class RecordingWriter:
         with self._guarded():
             if name not in self._json_channels:
                 schema = self._writer.register_schema(
-                    f"labhil.{topic}", SchemaEncoding.JSONSchema, b'{"type": "object"}'
+                    f"labhil.{topic}", SchemaEncoding.JSONSchema, schema_of(topic)
                 )
                 channel = self._writer.register_channel(
                     name, MessageEncoding.JSON, schema, {"device": device}
                 )
                 self._json_channels[name] = int(channel)
-            data = json.dumps(dict(body)).encode()
+            data = json.dumps(stamped(body, t_ns)).encode()
             self._writer.add_message(self._json_channels[name], t_ns, data, t_ns)
         self.flush_when_due()
 

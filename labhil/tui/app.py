@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-import signal
-import threading
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, ClassVar
@@ -32,6 +29,7 @@ from textual.widgets import (
 from labhil.tui.bar import bar_text, question_before_leaving
 from labhil.tui.devices import DevicesPane
 from labhil.tui.dialogs import Confirm
+from labhil.tui.endings import end_in_order
 from labhil.tui.experiment import ExperimentPane
 from labhil.tui.lab import Session
 from labhil.tui.live import LivePane
@@ -53,7 +51,6 @@ FACTS_INTERVAL = 0.25
 FILES_INTERVAL = 2.0
 
 STOP_KEYS = ("f12", "ctrl+e")
-ENDINGS = (signal.SIGTERM, signal.SIGHUP)
 
 
 class LabApp(App[None]):
@@ -128,10 +125,7 @@ class LabApp(App[None]):
         self.set_interval(FILES_INTERVAL, self.look_at_files)
         self._shelf.look()  # before anybody asks: reading takes a while
         self._show_facts()
-        if threading.current_thread() is threading.main_thread():
-            loop = asyncio.get_running_loop()
-            for number in ENDINGS:
-                loop.add_signal_handler(number, self._end_by_signal, number)
+        end_in_order(self, self.runner)
         self._focus_tab()
 
     def on_unmount(self) -> None:
@@ -142,10 +136,6 @@ class LabApp(App[None]):
         """End the run, and all work. Safe twice; a run that nobody asked to stop has failed."""
         self.runner.close()
         self.studies.jobs.close()
-
-    def _end_by_signal(self, number: int) -> None:
-        self.runner.ask("stop", f"the terminal UI was ended by {signal.Signals(number).name}")
-        self.exit(return_code=128 + number)
 
     async def on_event(self, event: Event) -> None:
         """The emergency stop comes before everything, also where a dialog holds the keys."""

@@ -21,7 +21,12 @@ GROWING = 3.0
 """A file without its final name that was written to so many s ago has somebody who writes it."""
 
 LARGEST_RESULT = LARGEST
-SCHEMAS = {"labhil.fit/1": "fit", "labhil.diagnosis/1": "diagnosis"}
+SCHEMAS = {
+    "labhil.fit/1": "fit",
+    "labhil.diagnosis/1": "diagnosis",
+    "labhil.comparison/1": "comparison",
+    "labhil.verification/1": "verification",
+}
 
 
 @dataclass(frozen=True, slots=True)

@@ -240,7 +240,8 @@ def _changed(found: DiagnosisPart) -> PlainTable:
 def _improvement(better: Improvement, colours: Colours) -> RenderableType:
     on = "the test recording" if better.data == "test" else "held-out data"
     horizon = "" if better.horizon is None else f", windows of {quantity(better.horizon, 's')}"
-    table = _plain_table(("on " + on + horizon,), ("before", "after", "noise floor"))
+    where = Text(f"on {on}{horizon}", style=colours["muted"])
+    table = _plain_table(("",), ("before", "after", "noise floor"))
     table.add_row(
         "RMSE",
         quantity(better.rmse_before, better.unit),
@@ -248,7 +249,7 @@ def _improvement(better: Improvement, colours: Colours) -> RenderableType:
         quantity(better.noise_floor, better.unit),
     )
     table.add_row("R²", percent(better.r2_before), Text(percent(better.r2_after), style="bold"), "")
-    return Group(table, _bars(better, colours))
+    return Group(where, table, _bars(better, colours))
 
 
 def _bars(better: Improvement, colours: Colours) -> Text:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import ClassVar
 
-import numpy as np
 from rich.text import Text
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
@@ -15,16 +14,24 @@ from textual.containers import Container, Vertical, VerticalScroll
 from textual.widgets import DataTable, Static
 from textual.widgets.data_table import CellDoesNotExist
 
-from labhil.analysis.schema import DiagnosisPart, EstimatedCurve, FitPart, json_of, result_of
 from labhil.campaign.studies.curves import read_curves
 from labhil.campaign.studies.jobs import Job, Jobs
-from labhil.errors import LabhilError
-from labhil.signals import FloatArray
-from labhil.tui.curve import Curve, Pen
+from labhil.campaign.studies.study import Task
+from labhil.tui.messages import StudyWanted
 from labhil.tui.overlay import OverlayScreen
 from labhil.tui.plot import Chart
 from labhil.tui.recording_library import ResultFile, results
-from labhil.tui.result_text import headline, result_renderable
+from labhil.tui.result_files import (
+    NO_CURVES,
+    ResultPart,
+    charts_of,
+    has_model,
+    in_a_line,
+    in_full,
+    read_part,
+    shortened,
+)
+from labhil.tui.studies import has_result
 from labhil.tui.words import duration
 
 EMPTY = """[b]No fit and no diagnosis in this folder yet.[/b]
@@ -35,6 +42,8 @@ EMPTY = """[b]No fit and no diagnosis in this folder yet.[/b]
 OF_WIDTH = 25
 ENDS_EARLY = ("fit", "diagnose")
 """Kinds of work that have a best so far."""
+MOST_COMPARED = 8
+KINDS = {"comparison": "compared", "verification": "verified"}
 SIGNS = {"at work": "…", "done": "✓", "failed": "✕", "cancelled": "■"}
 
 
@@ -56,6 +65,20 @@ class ResultsPane(Vertical):
             id="result.overlay",
             tooltip="Switch each term on and off over the measurement",
         ),
+        Binding(
+            "space",
+            "mark",
+            "Mark",
+            id="result.mark",
+            tooltip="Take this model into a comparison, or out of it",
+        ),
+        Binding(
+            "k",
+            "compare",
+            "Compare",
+            id="result.compare",
+            tooltip="Which of the marked models explains the recording best",
+        ),
         Binding("e", "end", "End now", id="job.end", tooltip="End this work with the best so far"),
         Binding(
             "c,delete", "cancel", "Cancel", id="job.cancel", tooltip="End this work; files stay as they were"
@@ -66,9 +89,10 @@ class ResultsPane(Vertical):
         super().__init__(id="results-pane")
         self._folder, self._jobs = folder, jobs
         self._files: list[ResultFile] = []
-        self._parts: dict[tuple[Path, float], FitPart | DiagnosisPart | str] = {}
+        self._parts: dict[tuple[Path, float], ResultPart | str] = {}
         self._shown = ""
         self._keys: list[str] = []
+        self._marked: set[Path] = set()
 
     def compose(self) -> ComposeResult:
         """The list, the text and the charts."""
@@ -92,7 +116,7 @@ class ResultsPane(Vertical):
         for file in self._files:
             key = (file.path, file.modified)
             if key not in self._parts:
-                self._parts[key] = _read(file.path)
+                self._parts[key] = read_part(file.path)
         self.refresh_view()
 
     def refresh_view(self) -> None:
@@ -125,7 +149,7 @@ class ResultsPane(Vertical):
     def _rows(self) -> Iterator[tuple[str, tuple[Text, ...]]]:
         colours = self.app.theme_variables
         for job in reversed(self._jobs.all):
-            if job.state == "done" and job.task.kind in ("fit", "diagnose"):
+            if has_result(job):
                 continue  # its file is in the list
             colour = {"failed": "error", "at work": "accent"}.get(job.state, "muted")
             names = job.title.partition(" ")[2]
@@ -134,24 +158,26 @@ class ResultsPane(Vertical):
                 (
                     Text(SIGNS[job.state], style=f"bold {colours[colour]}"),
                     Text(job.task.kind),
-                    Text(_shortened(names, OF_WIDTH)),
+                    Text(shortened(names, OF_WIDTH)),
                     Text(self._job_line(job), style=colours[colour]),
                 ),
             )
         for file in self._files:
             part = self._parts[file.path, file.modified]
-            bad = isinstance(part, str)
+            sign, colour = ("✕", "error") if isinstance(part, str) else ("✓", "success")
+            if file.path in self._marked:
+                sign, colour = "●", "accent"
             yield (
                 f"file {file.path} {file.modified}",
                 (
-                    Text("✕" if bad else "✓", style=f"bold {colours['error' if bad else 'success']}"),
-                    Text(file.kind),
+                    Text(sign, style=f"bold {colours[colour]}"),
+                    Text(KINDS.get(file.kind, file.kind)),
                     Text(
-                        _shortened(
+                        shortened(
                             file.path.name.removesuffix(".json").replace(f".{file.kind}", "", 1), OF_WIDTH
                         )
                     ),
-                    Text(part if isinstance(part, str) else headline(part)),
+                    Text(part if isinstance(part, str) else in_a_line(part)),
                 ),
             )
 
@@ -218,15 +244,18 @@ class ResultsPane(Vertical):
             text.append(job.said, style="not bold")
         self.query_one("#result-text", Static).update(text)
 
-    async def _show_part(self, path: Path, part: FitPart | DiagnosisPart | str) -> None:
+    async def _show_part(self, path: Path, part: ResultPart | str) -> None:
         colours = self.app.theme_variables
         area, text = self.query_one("#result-charts"), self.query_one("#result-text", Static)
         await area.remove_children()
+        self.set_class(not has_model(part), "without-charts")
         if isinstance(part, str):
             text.update(Text(f"✕ {part}", style=colours["error"]))
             return
-        text.update(result_renderable(part, colours))
+        text.update(in_full(part, colours))
         self.query_one("#result-scroll").scroll_home(animate=False)
+        if not has_model(part):
+            return
         charts: list[Chart] = []
         for title, curves in charts_of(part, read_curves(path)):
             charts.append(Chart(classes="result-chart"))
@@ -237,9 +266,12 @@ class ResultsPane(Vertical):
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Only what is at work can be cancelled."""
         if action == "charts":
-            return self.screen.has_class("-narrow") and bool(self._files) if self.is_mounted else False
-        if action == "overlay":
+            there = self.is_mounted and self._chosen_file() is not None
+            return there and self.screen.has_class("-narrow")
+        if action in ("overlay", "mark"):
             return self.is_mounted and self._chosen_file() is not None
+        if action == "compare":
+            return len(self._to_compare()) > 1
         if action in ("cancel", "end"):
             job = self._job(self._chosen()) if self.is_mounted else None
             at_work = job is not None and job.state == "at work"
@@ -251,8 +283,29 @@ class ResultsPane(Vertical):
         key = self._chosen()
         for file in self._files:
             if key == f"file {file.path} {file.modified}":
-                return None if isinstance(self._parts[file.path, file.modified], str) else file.path
+                return file.path if has_model(self._parts[file.path, file.modified]) else None
         return None
+
+    def _to_compare(self) -> Sequence[Path]:
+        """The marked results that are still there, in the order of the list."""
+        return [file.path for file in self._files if file.path in self._marked]
+
+    def action_mark(self) -> None:
+        """Mark the chosen model, or take its mark away."""
+        path = self._chosen_file()
+        if path is not None:
+            self._marked ^= {path}
+            self.refresh_view()
+            self.refresh_bindings()
+
+    def action_compare(self) -> None:
+        """Compare the marked models over the recording that the first was judged on."""
+        paths = self._to_compare()
+        if len(paths) > MOST_COMPARED:
+            self.app.notify(f"At most {MOST_COMPARED} models are compared at once.", severity="warning")
+        elif len(paths) > 1:
+            self.post_message(StudyWanted(Task("compare", tuple(paths))))
+            self._marked.clear()
 
     def action_overlay(self) -> None:
         """Show measurement and model, each term to be switched on and off."""
@@ -278,61 +331,3 @@ class ResultsPane(Vertical):
             self._jobs.cancel(job)
             self.refresh_view()
             self.refresh_bindings()
-
-
-NO_CURVES = (
-    "[$muted]No curves lie beside this result: it was made by a command. "
-    "f or d on its recording (4) makes one with curves.[/]"
-)
-
-
-def _shortened(name: str, width: int) -> str:
-    return name if len(name) <= width else f"{name[: width // 2 - 1]}…{name[-(width // 2) :]}"
-
-
-def _read(path: Path) -> FitPart | DiagnosisPart | str:
-    try:
-        return result_of(json_of(path.read_bytes(), path.name), path.name)
-    except (OSError, LabhilError) as error:
-        return str(error)
-
-
-def charts_of(
-    part: FitPart | DiagnosisPart, curves: dict[str, FloatArray]
-) -> Iterator[tuple[str | Text, list[Curve]]]:
-    """The charts of a result: simulation and error of each channel, what is missing, and its curve."""
-    for name in dict.fromkeys(key.rpartition("/")[0] for key in curves if key.endswith("/t")):
-        t, measured, unit = curves[f"{name}/t"], curves[f"{name}/measured"], str(curves[f"{name}/unit"])
-        both = [
-            (label, curves[f"{name}/{label}"], colour, pen)
-            for label, colour, pen in (("before", "curve-1", Pen.DASHED), ("after", "curve-0", Pen.SOLID))
-            if f"{name}/{label}" in curves
-        ]
-        alone = len(both) == 1
-        seen = Curve(t, measured, "curve-measured", Pen.DOTS, "measured")
-        yield (
-            f"{name}, {unit}",
-            [seen, *(Curve(t, y, c, p, "model" if alone else label) for label, y, c, p in both)],
-        )
-        yield (
-            f"error of {name}, {unit}",
-            [Curve(t, y - measured, c, p, "" if alone else label) for label, y, c, p in both],
-        )
-    for key in (key for key in curves if key.startswith("missing/") and f"{key}/x" in curves):
-        x, y = curves[f"{key}/x"], curves[key]
-        order = np.argsort(x)
-        axis = str(curves[f"{key}/axis"])
-        yield f"{key.removeprefix('missing/')} over {axis}", [Curve(x[order], y[order], "curve-3", Pen.DOTS)]
-    if isinstance(part, DiagnosisPart):
-        drawn = [curve for curve in (part.curve, *part.further_curves) if curve is not None]
-        yield from (_curve(curve) for curve in drawn if len(curve.depends_on) == 1)
-
-
-def _curve(curve: EstimatedCurve) -> tuple[str, list[Curve]]:
-    x, value = np.array(curve.x, dtype=float).ravel(), np.array(curve.value, dtype=float)
-    drawn = [Curve(x, value, "curve-0", Pen.SOLID, "estimate")]
-    for side in curve.ci99:
-        label = "99 % band" if len(drawn) == 1 else ""
-        drawn.append(Curve(x, np.array(side, dtype=float), "curve-measured", Pen.DOTS, label))
-    where = "" if curve.joint is None else f" on joint {curve.joint}"
-    return f"what has no name{where}, {curve.unit}, over {curve.depends_on[0]}", drawn

@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labhil.recording import import_table, read_recording, write_import
+from labhil.recording import RecordingWriter, import_table, read_recording, write_import
 from labhil.recording.recover import recover
 from labhil.rig import parse_rig
+from labhil.signals import Batch, Direction, Signal, Stream
 
 HERE = Path(__file__).parent
 SHIPPED = HERE.parents[1] / "recordings"
@@ -73,6 +74,44 @@ def test_counts_times_and_values_are_those_of_another_reader(reader: Path, tmp_p
         for event in ours.events:
             events[f"/{event.device}/{event.topic}"] = events.get(f"/{event.device}/{event.topic}", 0) + 1
         assert {topic: found["count"] for topic, found in theirs.items()} == events
+
+
+def burst(folder: Path) -> Path:
+    """A recording of a device that sends twenty samples at once, a millisecond apart by its own clock."""
+    stream = Stream("state", (Signal("speed", "rad/s", Direction.OUTPUT),), 1000.0)
+    number = np.arange(1000)
+    device = number * 1_000_000
+    acquired = 1_790_000_000_000_000_000 + np.repeat(device[19::20], 20)
+    with RecordingWriter(folder / "burst.mcap") as writer:
+        channel = writer.add_stream("motor", stream)
+        for k in range(0, 1000, 20):
+            rows = slice(k, k + 20)
+            values = np.sin(number[rows, None] / 9.0)
+            writer.write(channel, Batch(number[rows], acquired[rows], device[rows], values))
+    return folder / "burst.mcap"
+
+
+def test_samples_of_a_burst_have_times_of_their_own_in_another_reader(reader: Path, tmp_path: Path) -> None:
+    path = burst(tmp_path)
+    done = subprocess.run(
+        ["node", "read.mjs", path], cwd=reader, capture_output=True, text=True, check=True, timeout=120
+    )
+    topic = json.loads(done.stdout)["/motor/state"]
+    times = np.array(list(map(int, topic["logTimes"])))
+    assert topic["publishTimes"] == topic["logTimes"]
+    assert (np.diff(times) == 1_000_000).all()
+    assert len(set(topic["fields"]["t_acq_ns"])) == 50
+
+
+def test_samples_of_a_burst_have_times_of_their_own_in_rerun(tmp_path: Path) -> None:
+    rerun = pytest.importorskip("rerun.chunk", reason="rerun-sdk is not installed: pip install rerun-sdk")
+    stamps: list[int] = []
+    for chunk in rerun.McapReader(str(burst(tmp_path))).stream():
+        batch = chunk.to_record_batch()
+        if not chunk.is_static and any(name.endswith(":message") for name in batch.schema.names):
+            stamps += batch.column("message_log_time").cast("int64").to_pylist()
+    assert (np.diff(sorted(stamps)) == 1_000_000).all()
+    assert len(stamps) == 1000
 
 
 def test_rerun_finds_the_fields_that_it_would_plot(tmp_path: Path) -> None:

@@ -327,3 +327,14 @@ def test_the_head_of_a_chunk_that_contradicts_itself_is_none(whole):
     assert chunk_header(whole, start).end == chunks_of(whole)[0][1]
     assert chunk_header(whole, start + 1) is None
     assert chunk_header(whole[: start + CHUNK_HEAD], start) is None
+
+
+def test_an_index_that_one_wrong_bit_has_made_a_message_is_none(whole):
+    meant = set(truth(whole))
+    indexes = [end for _, end, _ in chunks_of(whole)]
+    struck = [at for at in indexes if whole[at] == Opcode.MESSAGE_INDEX]
+    assert struck
+    for at in struck:
+        broken = bytearray(whole)
+        broken[at] = Opcode.MESSAGE
+        assert set(saved(bytes(broken))) == meant

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import gzip
 import os
+import shutil
 import sys
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -33,6 +34,8 @@ from still import NOW_NS, StillLab
 
 SCREENS = Path(__file__).parent / "screens"
 PICTURES = Path(__file__).parents[2] / "docs" / "tui"
+COMPARED = Path(__file__).parent / "compared" / "ball_beam_identify.comparison.json"
+NEWEST = 1_790_000_100.0
 OFTEN = ("devices", "live", "experiment", "results")
 SMALL, LARGE = (80, 24), (160, 50)
 SETTLED = 0.15
@@ -108,6 +111,19 @@ async def shadowed(pilot: Pilot[None], app: LabApp) -> None:
     await pilot.pause(SETTLED)
 
 
+async def compared(pilot: Pilot[None], app: LabApp) -> None:
+    """A comparison in the list of results, as the newest."""
+    copy = app.folder / COMPARED.name
+    shutil.copy(COMPARED, copy)
+    os.utime(copy, (NEWEST, NEWEST))
+    await keys("5", "home")(pilot, app)
+
+
+async def marked(pilot: Pilot[None], app: LabApp) -> None:
+    """Two models that are to be compared."""
+    await keys("5", "space", "down", "space")(pilot, app)
+
+
 async def palette(pilot: Pilot[None], _app: LabApp) -> None:
     """With the first experiment's plan read: what the palette offers depends on it."""
     await pilot.press("3")
@@ -126,6 +142,8 @@ SHOWN: dict[str, Go] = {
     "results": keys("5"),
     "fit": keys("5", "down"),
     "charts": keys("5", "g"),
+    "compared": compared,
+    "marked": marked,
     "stopped": stopped,
     "release": release,
     "verify": keys("4", "v"),
@@ -145,6 +163,7 @@ DOCUMENTED = {
     "recording-160x50": "recording",
     "results-160x50": "results",
     "fit-160x50": "fit",
+    "compared-160x50": "compared",
     "stopped-80x24": "stopped",
     "release-80x24": "release",
     "verify-80x24": "verify",

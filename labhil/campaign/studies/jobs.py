@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from labhil.campaign.studies.process import Helper
@@ -12,6 +13,8 @@ from labhil.campaign.studies.study import Task
 
 CANCEL_PATIENCE = 1.0
 MODULE = "labhil.campaign.studies.study"
+WRITES = ("fit", "diagnose", "compare")
+"""Kinds of study that answer with the path of their result."""
 
 
 @dataclass(slots=True)
@@ -25,6 +28,8 @@ class Job:
     state: str = "at work"
     said: str = "starting"
     done: Any = None
+    result: Path | None = None
+    """The file that it wrote, where it is one."""
 
     @property
     def title(self) -> str:
@@ -62,6 +67,8 @@ class Jobs:
             job.said = str(line["progress"])
         elif "done" in line:
             job.state, job.done, job.said = "done", line["done"], str(line.get("verdict", "done"))
+            written = line.get("path", job.done if job.task.kind in WRITES else None)
+            job.result = None if written is None else Path(str(written))
         elif "failed" in line:
             job.state, job.said = "failed", str(line["failed"])
         elif "ended" in line:

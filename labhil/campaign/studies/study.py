@@ -1,4 +1,4 @@
-"""A fit, a diagnosis, a verification or an export in a process of its own.
+"""A fit, a diagnosis, a verification, a comparison or an export in a process of its own.
 
 ``python -m labhil.campaign.studies.study`` is told what to do in one line, says what it is doing
 (``{"progress": …}``) and at the end what came of it (``{"done": …}`` or ``{"failed": …}``). Results appear
@@ -27,10 +27,13 @@ CANCELLED = 130
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What is asked for: ``kind`` is "fit", "diagnose", "verify" or "export".
+    """What is asked for: ``kind`` is "fit", "diagnose", "verify", "compare" or "export".
+
+    The ``recordings`` of a comparison are the results whose models are compared.
 
     ``terms`` are those of a fit's model or a diagnosis' baseline, None for the rig kind's own; ``seconds`` is
-    how long it may take before it ends with the best so far.
+    how long it may take before it ends with the best so far; ``device`` which one, where a recording holds
+    several.
     """
 
     kind: str
@@ -40,6 +43,7 @@ class Task:
     terms: tuple[str, ...] | None = None
     estimator: str | None = None
     seconds: float | None = None
+    device: str | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Return the task as plain data."""
@@ -51,6 +55,7 @@ class Task:
             "terms": None if self.terms is None else list(self.terms),
             "estimator": self.estimator,
             "seconds": self.seconds,
+            "device": self.device,
         }
 
     @classmethod
@@ -65,13 +70,14 @@ class Task:
             None if terms is None else tuple(map(str, terms)),
             data["estimator"],
             data["seconds"],
+            data["device"],
         )
 
     @property
     def title(self) -> str:
         """What it is, for a person."""
-        names = ", ".join(path.name.removesuffix(".mcap") for path in self.recordings)
-        return f"{self.kind} {names}"
+        names = ", ".join(path.name.removesuffix(".mcap").removesuffix(".json") for path in self.recordings)
+        return f"{self.kind} {names}" + ("" if self.device is None else f" {self.device}")
 
 
 def progress(text: str) -> None:
@@ -82,11 +88,13 @@ def progress(text: str) -> None:
 def do(task: Task) -> dict[str, Any]:
     """Do it; return what is told at the end. Raises LabhilError."""
     first = task.recordings[0]
-    stem = first.name.removesuffix(".part").removesuffix(".mcap")
+    stem = stem_of(task)
     if task.kind == "export":
         return {"done": [str(_export(path)) for path in task.recordings]}
     if task.kind == "verify":
         return _verify(task)
+    if task.kind == "compare":
+        return _compare(task)
     progress(f"reading {first.name}")
     if task.kind == "fit":
         from labhil.api.fit import fit
@@ -104,12 +112,19 @@ def do(task: Task) -> dict[str, Any]:
     return {"done": str(path)}
 
 
+def stem_of(task: Task) -> str:
+    """What the names of its results begin with."""
+    stem = task.recordings[0].name.removesuffix(".part").removesuffix(".mcap")
+    return stem if task.device is None else f"{stem}.{task.device}"
+
+
 def _given(task: Task, model: str) -> dict[str, Any]:
     """What the task gives a fit or a diagnosis; ``model`` is the name of the model's argument."""
     return {
         "test": task.tests or None,
         model: task.model,
         "seconds": task.seconds,
+        "device": task.device,
         "progress": progress,
         "warn": _warn,
     }
@@ -126,6 +141,10 @@ def _write(folder: Path, stem: str, kind: str, data: Any, curves: Mapping[str, A
     with path.with_suffix(".npz.new").open("wb") as file:
         np.savez_compressed(file, **curves)
     path.with_suffix(".npz.new").replace(path.with_suffix(".npz"))
+    return _write_json(path, data)
+
+
+def _write_json(path: Path, data: Any) -> Path:
     new = path.with_name(path.name + ".new")
     new.write_text(json.dumps(data, ensure_ascii=False, allow_nan=False, indent=1) + "\n", encoding="utf-8")
     new.replace(path)
@@ -155,9 +174,34 @@ def _verify(task: Task) -> dict[str, Any]:
 
     assert task.model is not None
     losses: list[str] = []
-    result = verify(task.recordings[0], task.model, progress=progress, warn=losses.extend)
+    first = task.recordings[0]
+    result = verify(first, task.model, device=task.device, progress=progress, warn=losses.extend)
+    path = _write_json(free_name(first.parent, stem_of(task), "verification.json"), result.to_dict())
     text = "\n".join([*losses, result.text(width=100)])
-    return {"done": text, "consistent": not result.contradicted}
+    return {"done": text, "consistent": not result.contradicted, "path": str(path)}
+
+
+def _compare(task: Task) -> dict[str, Any]:
+    from labhil.api.comparison import compare
+
+    first = task.recordings[0]
+    on = task.tests or _moved(first) or None
+    found = compare(*task.recordings, recording=on, progress=progress, warn=_warn)
+    stem = first.name.removesuffix(".json").removesuffix(".fit").removesuffix(".diagnosis")
+    path = _write_json(free_name(first.parent, stem, "comparison.json"), found.to_dict())
+    return {"done": str(path), "verdict": found.statement}
+
+
+def _moved(result: Path) -> tuple[Path, ...]:
+    """The recordings that a result was judged on, where they lie beside it and not where it says."""
+    from labhil.analysis.schema import json_of, result_of
+    from labhil.campaign.studies.overlay import recording_of
+
+    sources = result_of(json_of(result.read_bytes(), result.name), result.name).recordings
+    judged = [source for source in sources if source.role == "test"] or sources
+    if all(Path(source.path).is_file() for source in judged):
+        return ()
+    return tuple(recording_of(result, source.path) for source in judged)
 
 
 def main() -> int:

@@ -1,0 +1,103 @@
+"""A layout for Foxglove: a chart for each unit, with units beside the names, and below what happened.
+
+Foxglove has no place of its own for units; they stand in the titles of charts and in the labels of curves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from labhil.signals import Direction, Signal, Stream
+
+
+def foxglove_layout(streams: Iterable[tuple[str, Stream]]) -> dict[str, Any]:
+    """Return a layout that Foxglove imports ("Import from file …").
+
+    Args:
+        streams: The devices' names, and their streams. Those of one device go into the same charts.
+
+    Example:
+        >>> stream = Stream("state", (Signal("speed", "rad/s", Direction.OUTPUT),), 100.0)
+        >>> layout = foxglove_layout([("motor", stream)])
+        >>> layout["configById"]["Plot!motor-0"]["paths"][0]["value"]
+        '/motor/state.speed'
+    """
+    panels: dict[str, dict[str, Any]] = {}
+    by_device: dict[str, list[Stream]] = {}
+    for device, stream in streams:
+        by_device.setdefault(device, []).append(stream)
+    for device, own in by_device.items():
+        for number, (unit, curves) in enumerate(_by_unit(device, own).items()):
+            panels[f"Plot!{device}-{number}"] = _chart(f"{device}, {unit or '1'}", curves)
+    panels["StateTransitions!states"] = {
+        "paths": [
+            {"value": f"/{place}/event.state", "timestampMethod": "receiveTime"}
+            for place in (*by_device, "run")
+        ],
+        "isSynced": True,
+        "foxglovePanelTitle": "States",
+    }
+    return {
+        "configById": panels,
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1},
+        "layout": _stacked(list(panels)),
+    }
+
+
+def _by_unit(device: str, streams: Sequence[Stream]) -> Mapping[str, list[dict[str, Any]]]:
+    """The curves of a device by their unit, in the order in which they are declared."""
+    curves: dict[str, list[dict[str, Any]]] = {}
+    for stream in streams:
+        for signal in stream.signals:
+            curves.setdefault(signal.unit, []).extend(
+                {
+                    "value": f"/{device}/{stream.name}.{path}",
+                    "enabled": True,
+                    "timestampMethod": "receiveTime",
+                    "label": _label(name, signal),
+                }
+                for path, name in _parts(signal)
+            )
+    return curves
+
+
+def _parts(signal: Signal) -> list[tuple[str, str]]:
+    """The path and the name of every scalar of a signal."""
+    if signal.width == 1:
+        return [(signal.name, signal.name)]
+    return [(f"{signal.name}[{k}]", column) for k, column in enumerate(signal.columns())]
+
+
+def _label(name: str, signal: Signal) -> str:
+    asked = " requested" if signal.direction is Direction.REQUESTED else ""
+    return f"{name}{asked} [{signal.unit or '1'}]"
+
+
+def _chart(title: str, curves: list[dict[str, Any]]) -> dict[str, Any]:
+    return {
+        "foxglovePanelTitle": title,
+        "paths": curves,
+        "showXAxisLabels": True,
+        "showYAxisLabels": True,
+        "showLegend": True,
+        "legendDisplay": "floating",
+        "showPlotValuesInLegend": True,
+        "isSynced": True,
+        "xAxisVal": "timestamp",
+        "sidebarDimension": 240,
+    }
+
+
+def _stacked(names: Sequence[str]) -> Any:
+    """One below the other, all of one height; Foxglove splits in two at each level."""
+    if len(names) == 1:
+        return names[0]
+    return {
+        "direction": "column",
+        "first": names[0],
+        "second": _stacked(names[1:]),
+        "splitPercentage": round(100 / len(names), 1),
+    }

@@ -1,0 +1,62 @@
+"""Ends of the screen that nobody asks for on the screen: a signal, and a web server that is gone."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Protocol
+
+from textual.app import App
+
+ENDINGS = (signal.SIGTERM, signal.SIGHUP)
+SERVER = "LABHIL_WEB_SERVER"
+"""The variable that holds the process of the web server, for the process of a page."""
+
+
+class Asked(Protocol):
+    """Ends a run in order when it is asked to."""
+
+    def ask(self, what: str, reason: str = "") -> None:
+        """Ask for ``stop``."""
+
+
+def end_in_order(app: App[None], runner: Asked) -> None:
+    """Let signals end ``app`` and its run in order; in a page, so does the end of its web server."""
+
+    def end(number: signal.Signals) -> None:
+        runner.ask("stop", f"the terminal UI was ended by {number.name}")
+        app.exit(return_code=128 + number)
+
+    if threading.current_thread() is not threading.main_thread():
+        return
+    loop = asyncio.get_running_loop()
+    for each in ENDINGS:
+        loop.add_signal_handler(each, end, each)
+    if app.is_web and SERVER in os.environ:
+        server = int(os.environ[SERVER])
+        threading.Thread(
+            target=_end_with,
+            args=(server, lambda: loop.call_soon_threadsafe(end, signal.SIGHUP)),
+            daemon=True,
+        ).start()
+
+
+def _end_with(
+    server: int, end: Callable[[], object], *, interval: float = 0.5, patience: float = 20.0
+) -> None:
+    """End this process with its server, by force where it does not end in order within ``patience`` s.
+
+    A screen that draws into a broken pipe may not come to its end. The run that it started sees the end of
+    its input in either case, and ends in order.
+    """
+    while os.getppid() == server:
+        time.sleep(interval)
+    with suppress(RuntimeError):  # the loop has ended already
+        end()
+    time.sleep(patience)
+    os._exit(1)

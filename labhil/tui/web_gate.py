@@ -1,0 +1,113 @@
+"""Who may open the terminal UI in a browser: it moves devices, so nobody but its user.
+
+On the loopback that is whoever connects as the same user of this machine (Linux says so); everywhere else who
+knows the token, which a browser keeps in a cookie. A page of another site is refused in either case.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+import secrets
+import socket
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from aiohttp import web
+
+LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")
+CONNECTIONS = Path("/proc/net/tcp"), Path("/proc/net/tcp6")
+"""Where Linux lists them: local address, remote address, state, …, user."""
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine reaches an address.
+
+    Example:
+        >>> is_loopback("localhost"), is_loopback("127.0.0.1"), is_loopback("0.0.0.0")
+        (True, True, False)
+    """
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+@dataclass(frozen=True, slots=True)
+class Gate:
+    """Lets in who has the ``token``; with None, who is the same user of this machine."""
+
+    token: str | None
+
+    @classmethod
+    def at(cls, host: str) -> Gate:
+        """The gate that an address needs."""
+        users_are_known = CONNECTIONS[0].exists()
+        return cls(None if is_loopback(host) and users_are_known else secrets.token_urlsafe(32))
+
+    @property
+    def query(self) -> str:
+        """What an address that is handed out ends in."""
+        return "" if self.token is None else f"?token={self.token}"
+
+    def refusal(self, request: web.Request) -> str:
+        """Return why this request is refused; empty where it is not."""
+        origin = request.headers.get("Origin")
+        if origin is not None and urlsplit(origin).netloc != request.host:
+            return f"a page of {origin[:200]} may not use this one"
+        if self.token is None:
+            return self._of_a_stranger(request)
+        given = request.query.get("token") or request.cookies.get(_cookie(request), "")
+        if not secrets.compare_digest(given.encode(), self.token.encode()):
+            return "open the whole address that `labhil tui --web` printed, with its token"
+        return ""
+
+    def welcome(self, request: web.Request) -> web.Response | None:
+        """Move a token from the address, which stays in the browser's history, into a cookie."""
+        if self.token is None or "token" not in request.query or request.path != "/":
+            return None
+        answer = web.Response(status=303, headers={"Location": "/"})
+        answer.set_cookie(_cookie(request), self.token, httponly=True, samesite="Strict")
+        return answer
+
+    def _of_a_stranger(self, request: web.Request) -> str:
+        # a name of another site may lead here; its page would then count as one of this server
+        name = urlsplit(f"//{request.host}").hostname
+        if name not in LOOPBACK_NAMES:
+            return f"expected the address http://127.0.0.1 or http://localhost, found {request.host[:200]}"
+        peer = None if request.transport is None else request.transport.get_extra_info("peername")
+        user = None if peer is None else user_of(peer[0], peer[1])
+        if user not in (os.getuid(), 0):
+            return "this screen is that of another user of this machine"
+        return ""
+
+
+def _cookie(request: web.Request) -> str:
+    """Ports share their host's cookies, so a cookie's name holds the port."""
+    return f"labhil-{urlsplit(f'//{request.host}').port or 80}"
+
+
+def user_of(address: str, port: int) -> int | None:
+    """The user whose process has the socket at a local ``address``; None where the system does not say."""
+    wanted = {_as_listed(address, port)}
+    if ":" not in address:
+        wanted.add(_as_listed(f"::ffff:{address}", port))
+    for path in CONNECTIONS:
+        if not path.exists():
+            continue
+        for line in path.read_text().splitlines()[1:]:
+            parts = line.split()
+            if parts[1] in wanted:
+                return int(parts[7])
+    return None
+
+
+def _as_listed(address: str, port: int) -> str:
+    """Words of 4 bytes in the machine's order, as the kernel prints them."""
+    packed = socket.inet_pton(socket.AF_INET6 if ":" in address else socket.AF_INET, address)
+    words = struct.unpack(f"={len(packed) // 4}I", packed)
+    return "".join(f"{word:08X}" for word in words) + f":{port:04X}"
