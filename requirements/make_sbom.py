@@ -1,4 +1,4 @@
-"""What a wheel needs, as CycloneDX: ``python requirements/make_sbom.py`` writes ``sbom.cdx.json``.
+"""What a wheel needs, as CycloneDX: ``python requirements/make_sbom.py`` writes ``labhil/sbom.cdx.json``.
 
 Licences are what the installed packages say of themselves, versions those of ``development.txt``.
 """
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[1]
-OUT = ROOT / "sbom.cdx.json"
+OUT = ROOT / "labhil" / "sbom.cdx.json"
 NAME = re.compile(r"[A-Za-z0-9._-]+")
 FOR_DEVELOPMENT = ("test", "docs", "all")
 """Extras that nobody needs who uses labhil, and the sum of the others."""

@@ -52,7 +52,7 @@ def test_an_upper_bound_stands_where_a_major_version_broke_something(maker: Modu
 
 
 def test_the_bill_of_materials_names_what_is_declared(maker: ModuleType) -> None:
-    told = json.loads((ROOT / "sbom.cdx.json").read_text(encoding="utf-8"))
+    told = json.loads((ROOT / "labhil" / "sbom.cdx.json").read_text(encoding="utf-8"))
     assert (told["bomFormat"], told["metadata"]["component"]["version"]) == ("CycloneDX", PROJECT["version"])
     found = {
         one["name"]: (one["version"], one["scope"] == "required", one["properties"][0]["value"])
