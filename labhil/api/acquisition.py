@@ -254,7 +254,7 @@ class Experiment:
             ...     for level in (0.5, 4.0):
             ...         rec = yield {"signal": "voltage", "excitation": "hold", "level": level,
             ...                      "duration": 1.0}
-            ...         if rec["speed"].max() > 10.0:
+            ...         if rec["speed"].max() > 1.0:
             ...             return level
             >>> with tempfile.TemporaryDirectory() as folder:
             ...     found = experiment.run_plan(find_break_away, folder)
