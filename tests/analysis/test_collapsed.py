@@ -160,6 +160,7 @@ def geared(seconds: float = 10.0) -> lh.Recording:
 
 
 @pytest.mark.extended
+@pytest.mark.timeout(600)
 def test_a_constant_load_that_a_motor_s_sizes_gave_way_to_is_found():
     found = lh.diagnose(geared(), baseline=["viscous_friction"])
     # a motor without dry friction cannot tell the two apart

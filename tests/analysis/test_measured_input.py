@@ -92,6 +92,7 @@ def test_what_the_noise_of_a_measured_input_makes_of_a_simulation_is_in_the_floo
 
 
 @pytest.mark.extended
+@pytest.mark.timeout(600)
 def test_an_exact_model_under_a_noisy_measured_current_has_no_mismatch():
     made = pulled(0.004, QUIET)
     recording = lh.recording(
@@ -126,6 +127,7 @@ def balanced(seed: int, offset: float, seconds: float = 30.0) -> lh.Recording:
 
 
 @pytest.mark.extended
+@pytest.mark.timeout(600)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_beam_angle_that_is_noisy_and_off_is_a_constant_push_not_a_dead_zone(seed: int):
     found = lh.diagnose(balanced(seed, 0.041), baseline=["viscous_friction"])
