@@ -48,8 +48,9 @@ NO_WORSE = 1.01
 EXCHANGED = 3
 """Steps after that exchange."""
 
-DEEPENED = 2
-"""Rounds of new states and a new curve."""
+DEEPENED = 8
+"""Rounds of new states and a new curve: where nothing tells an angle, most rounds move no window, and the one
+that does decides what the curve explains."""
 
 BLOCK = 1.0
 """Stretch of inverse dynamics, s: longer than what it leaves remembers, shorter than a pass of the joint."""
