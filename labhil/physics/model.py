@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
 from labhil.errors import RecordingError, UnknownNameError, UsageError
-from labhil.physics.smoothing import Smoothing
 from labhil.physics.terms import CharacteristicScale, Parameter, Term
 from labhil.recording.clock_faults import ClockFault
 from labhil.signals import FloatArray, Hold, IntArray
+
+if TYPE_CHECKING:
+    from labhil.physics.smoothing import Smoothing
 
 BORDER = 20.0
 """Usual steps of time between two recordings that stand in one record."""

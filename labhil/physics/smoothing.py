@@ -42,8 +42,9 @@ class Smoothing:
 
     def left(self, values: FloatArray) -> float:
         """Standard deviation of the noise that is left on values (n,), RMS."""
-        chosen = self._widest(_cubics(values))
-        return self.noise * float(np.sqrt(np.mean(SHARES[chosen]))) if self.noise else 0.0
+        if not self.noise:
+            return 0.0
+        return self.noise * float(np.sqrt(np.mean(SHARES[self._widest(_cubics(values))])))
 
     def error(self, smoothed: FloatArray, random: np.random.Generator) -> FloatArray:
         """What noise leaves in values (n,) that were smoothed, drawn at random anew."""
