@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from queue import SimpleQueue
+from queue import Queue
 from typing import Any
 
 from labhil.analysis.schema import json_of, result_of
@@ -120,7 +120,7 @@ def _check_names(names: Sequence[str], known: Sequence[str], what: str, where: s
 
 def _catalogue(kind: str, where: str) -> Catalogue:
     """Ask a process of its own: this one loads no models."""
-    lines: SimpleQueue[dict[str, Any]] = SimpleQueue()
+    lines: Queue[dict[str, Any]] = Queue()
     helper = Helper("the catalogue", MODULE, {"rig": kind}, lines.put)
     try:
         while True:

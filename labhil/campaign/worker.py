@@ -55,7 +55,7 @@ class Worker:
         self._longest = longest
         self._seen = set(folder.glob("*.mcap"))
         self._waiting: list[Task] = []
-        self._said: queue.SimpleQueue[tuple[int, dict[str, Any]]] = queue.SimpleQueue()
+        self._said: queue.Queue[tuple[int, dict[str, Any]]] = queue.Queue()
         self._jobs = Jobs(lambda number, line: self._said.put((number, line)), time.monotonic)
 
     @property

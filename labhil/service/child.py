@@ -45,7 +45,7 @@ class Child:
             bufsize=1,
             env={**os.environ, **(environment or {})},
         )
-        self._lines: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+        self._lines: queue.Queue[str | None] = queue.Queue()
         self._reader = SupervisedThread(
             self._read_lines, f"lines of {name}", daemon=True, on_failure=lambda: self._lines.put(None)
         )

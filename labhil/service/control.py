@@ -101,7 +101,7 @@ class DeviceControl:
         self._quiet = False
         self._mending = False
         self._continuation = Continuation(spec.stream.rate * info.speed, info.speed)
-        self._inbox: queue.SimpleQueue[Request] = queue.SimpleQueue()
+        self._inbox: queue.Queue[Request] = queue.Queue()
         self._resources = ExitStack()
         # a controller answers each sample with a setpoint: wait for it here, and not for the next sample
         self._reaction_time = REACTION / (spec.stream.rate * info.speed)

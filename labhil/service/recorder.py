@@ -117,10 +117,10 @@ class Recorder:
         self._channels: dict[str, RecordedStream] = {}
         self._told: dict[tuple[str, str], bytes] = {}
         # what is refused is refused in the threads that listen, and written in the one that writes
-        self._remarks: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._remarks: queue.Queue[str] = queue.Queue()
         self._refusals = Refusals(self._remarks.put)
         self._waiting = 0
-        self._queue: queue.SimpleQueue[tuple[str, list[bytes]] | None] = queue.SimpleQueue()
+        self._queue: queue.Queue[tuple[str, list[bytes]] | None] = queue.Queue()
         self._arrived_at = time.monotonic()
         self._status_at = time.monotonic()
         self._writer = RecordingWriter(path)

@@ -20,6 +20,7 @@ from aiohttp import web
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")
 CONNECTIONS = Path("/proc/net/tcp"), Path("/proc/net/tcp6")
 """Where Linux lists them: local address, remote address, state, …, user."""
+ESTABLISHED = "01"
 
 
 def is_loopback(host: str) -> bool:
@@ -79,9 +80,7 @@ class Gate:
         name = urlsplit(f"//{request.host}").hostname
         if name not in LOOPBACK_NAMES:
             return f"expected the address http://127.0.0.1 or http://localhost, found {request.host[:200]}"
-        peer = None if request.transport is None else request.transport.get_extra_info("peername")
-        user = None if peer is None else user_of(peer[0], peer[1])
-        if user not in (os.getuid(), 0):
+        if _user_behind(request) not in (os.getuid(), 0):
             return "this screen is that of another user of this machine"
         return ""
 
@@ -91,18 +90,42 @@ def _cookie(request: web.Request) -> str:
     return f"labhil-{urlsplit(f'//{request.host}').port or 80}"
 
 
-def user_of(address: str, port: int) -> int | None:
-    """The user whose process has the socket at a local ``address``; None where the system does not say."""
-    wanted = {_as_listed(address, port)}
-    if ":" not in address:
-        wanted.add(_as_listed(f"::ffff:{address}", port))
+def _user_behind(request: web.Request) -> int | None:
+    """The user at the other end of the connection that a request came by."""
+    if request.transport is None:
+        return None
+    theirs, ours = (request.transport.get_extra_info(name) for name in ("peername", "sockname"))
+    return user_of(theirs[:2], ours[:2]) if theirs and ours else None
+
+
+def user_of(theirs: tuple[str, int], ours: tuple[str, int]) -> int | None:
+    """The user whose process holds one end of a connection; None where the system does not say.
+
+    Args:
+        theirs: Address and port of that end.
+        ours: Address and port of the other end.
+    """
     for path in CONNECTIONS:
-        if not path.exists():
-            continue
-        for line in path.read_text().splitlines()[1:]:
-            parts = line.split()
-            if parts[1] in wanted:
-                return int(parts[7])
+        if path.exists():
+            user = user_listed(path.read_text(), theirs, ours)
+            if user is not None:
+                return user
+    return None
+
+
+def user_listed(listing: str, theirs: tuple[str, int], ours: tuple[str, int]) -> int | None:
+    """The user of one established connection in a listing such as /proc/net/tcp.
+
+    A port by itself names no user: ports are drawn again as soon as the far end differs, and a closed
+    connection stands in the list for a minute more, under user 0 whoever it was.
+    """
+    wanted = {(_as_listed(*theirs), _as_listed(*ours))}
+    if ":" not in theirs[0]:
+        wanted.add((_as_listed(f"::ffff:{theirs[0]}", theirs[1]), _as_listed(f"::ffff:{ours[0]}", ours[1])))
+    for line in listing.splitlines()[1:]:
+        _, local, remote, state, _, _, _, user, *_ = line.split()
+        if (local, remote) in wanted and state == ESTABLISHED:
+            return int(user)
     return None
 
 

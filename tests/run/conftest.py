@@ -9,6 +9,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 
 from labhil.bus.ask import ask
@@ -61,7 +62,10 @@ class Bench:
                 if event["kind"] == kind:
                     return event
             time.sleep(0.01)
-        raise AssertionError(f"no event {kind!r} among {self.events}")
+        alive = psutil.pid_exists(self.host.pid)
+        raise AssertionError(
+            f"no event {kind!r} among {self.events}; host alive: {alive}, failure: {self.host.failure()!r}"
+        )
 
 
 @contextmanager

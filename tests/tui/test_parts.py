@@ -121,7 +121,7 @@ def test_a_study_of_what_is_not_there_fails_with_words(tmp_path: Path) -> None:
 
 
 def test_a_study_that_is_over_holds_nothing_open(tmp_path: Path) -> None:
-    said: queue.SimpleQueue[tuple[int, dict[str, Any]]] = queue.SimpleQueue()
+    said: queue.Queue[tuple[int, dict[str, Any]]] = queue.Queue()
     jobs = Jobs(lambda number, line: said.put((number, line)), time.monotonic)
     before = psutil.Process().num_fds()
     job = jobs.start(Task("export", (tmp_path / "nothing.mcap",)))

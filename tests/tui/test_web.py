@@ -16,6 +16,7 @@ from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import psutil
 import pytest
@@ -32,7 +33,7 @@ from browser import CHROMIUM, Page, chromium
 aiohttp = pytest.importorskip("aiohttp", reason="needs labhil's extra web")
 pytest.importorskip("textual_serve", reason="needs labhil's extra web")
 
-from labhil.tui.web_gate import user_of  # noqa: E402 - needs the extra
+from labhil.tui.web_gate import user_listed, user_of  # noqa: E402 - needs the extra
 
 PATIENCE = 150.0
 MOVING = 16_384
@@ -201,21 +202,57 @@ def test_beyond_the_loopback_a_token_is_needed_once(folder: Path) -> None:
 def test_the_user_of_a_connection_is_known() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listening:
         with socket.create_connection(listening.getsockname()) as ours:
-            assert user_of(*ours.getsockname()) == os.getuid()
-        assert user_of("127.0.0.1", 1) is None
+            assert user_of(ours.getsockname(), listening.getsockname()) == os.getuid()
+            assert user_of(ours.getsockname(), ("127.0.0.1", 1)) is None
+        assert user_of(("127.0.0.1", 1), listening.getsockname()) is None
+
+
+def test_a_port_that_somebody_had_before_says_nothing_of_its_user() -> None:
+    listing = """  sl  local_address rem_address   st tx_queue rx_queue tr tm->when retrnsmt   uid
+   0: 0100007F:C350 0100007F:1F90 06 00000000:00000000 03:00001770 00000000     0        0 0 3 0
+   1: 0100007F:C350 0100007F:1F91 01 00000000:00000000 00:00000000 00000000     0        0 11 1 0
+   2: 0100007F:C350 0100007F:1F90 01 00000000:00000000 00:00000000 00000000 65534        0 12 1 0
+"""
+    assert user_listed(listing, ("127.0.0.1", 0xC350), ("127.0.0.1", 0x1F90)) == 65534
+    assert user_listed(listing, ("127.0.0.1", 0xC350), ("127.0.0.1", 0x1F92)) is None
+    assert (
+        user_listed("\n".join(listing.splitlines()[:2]), ("127.0.0.1", 0xC350), ("127.0.0.1", 0x1F90)) is None
+    )
+
+
+AS_ANOTHER_USER = """
+import os, socket, sys
+os.setuid(65534)
+with socket.socket() as link:
+    link.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    link.bind(("127.0.0.1", int(sys.argv[1])))
+    link.connect(("127.0.0.1", int(sys.argv[2])))
+    link.sendall(b"GET / HTTP/1.1\\r\\nHost: 127.0.0.1:" + sys.argv[2].encode() + b"\\r\\n\\r\\n")
+    print(link.recv(15).decode())
+"""
+
+
+def port_that_root_had() -> int:
+    """A port of a connection that root's process closed a moment ago."""
+    with socket.create_server(("127.0.0.1", 0)) as listening, socket.socket() as link:
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        link.bind(("127.0.0.1", 0))
+        link.connect(listening.getsockname())
+        far, _ = listening.accept()
+        port = int(link.getsockname()[1])
+        link.close()
+        far.close()
+    return port
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can be another user")
-def test_another_user_of_this_machine_is_refused(folder: Path) -> None:
-    # the codec is loaded while its file can still be read
-    ask = (
-        "import os, sys, urllib.request as web; ''.encode('idna'); os.setuid(65534); web.urlopen(sys.argv[1])"
-    )
+@pytest.mark.parametrize("port", [lambda: 0, port_that_root_had], ids=["any port", "a port that root had"])
+def test_another_user_of_this_machine_is_refused(folder: Path, port: Callable[[], int]) -> None:
     with served(folder) as (address, _):
-        told = subprocess.run(
-            [sys.executable, "-I", "-c", ask, address], capture_output=True, text=True, check=False
-        )
-    assert "403" in told.stderr
+        where = [str(port()), str(urlsplit(address).port)]
+        ask = [sys.executable, "-I", "-c", AS_ANOTHER_USER, *where]
+        answer = subprocess.run(ask, capture_output=True, text=True, check=True).stdout
+    assert answer.strip() == "HTTP/1.1 403 Fo"
 
 
 @pytest.mark.parametrize("how", ["the page goes", "the server is ended", "the server is killed"])
