@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
+import numpy as np
+
 from labhil.diagnose.adequacy import UNEXPLAINED, unexplained
 from labhil.diagnose.force_curve import ForceCurve, stated
 from labhil.diagnose.joint_curves import joint_curves
@@ -104,7 +106,9 @@ def conclude(data: Data, found: SearchResult, left: FloatArray, progress: Callab
 def leaves_more(data: Data, found: SearchResult, left: FloatArray, excess: float) -> bool:
     """Whether more than noise is left: by the metric alone, or by windows that know their states and it.
 
-    Noise that lasts is not known so well from short windows that these alone could raise an alarm.
+    Noise that lasts is not known so well from short windows that these alone could raise an alarm, unless
+    they leave as much as no noise does: the metric is silent where the held-out data are at rest.
     """
     alone = MISNAMED if found.missing else SURELY
-    return excess > alone or (unexplained(data, left) and excess > UNEXPLAINED)
+    by_windows = float(np.max(left))
+    return excess > alone or by_windows > SURELY or (unexplained(data, left) and excess > UNEXPLAINED)

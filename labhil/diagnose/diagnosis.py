@@ -117,6 +117,7 @@ def _answer(
         undecided=(
             *statements.too_little(found),
             *statements.as_likely_as_not(found),
+            *statements.unseen(absent, found.possible),
             *statements.undecided(model),
         ),
         excluded=statements.excluded(absent, found.possible),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from labhil.diagnose import locate
 from labhil.diagnose.answer import Curve, Excluded, Missing, RivalTerm, Undecided
 from labhil.diagnose.claim_probability import claim_probability
 from labhil.diagnose.conclude import MISNAMED
-from labhil.diagnose.discrepancy import AbsentEffects
+from labhil.diagnose.discrepancy import AbsentEffect, AbsentEffects
 from labhil.diagnose.force_curve import ForceCurve
 from labhil.diagnose.minor import LEAST_SHARE
 from labhil.diagnose.search_result import Rival, SearchResult, Step
@@ -262,29 +262,72 @@ def _channel(before: Score, after: Score) -> tuple[str, int | None]:
 
 
 def excluded(absent: AbsentEffects, possible: Collection[str]) -> tuple[Excluded, ...]:
-    """Linearised estimate of every absent term beside the final model, ± its 99 % error.
+    """The largest size of every absent term that could hide beside the final model (99 %).
+
+    ``possible`` are keys of terms that may well be there: they are left out, and so is what would go unseen.
+    """
+    return tuple(
+        Excluded(e.term.name, e.term.joint, largest, e.parameter.unit, 0.99, e.parameter.recording)
+        for e, largest in _largest_hidden(absent)
+        if e.term.key not in possible and not _goes_unseen(absent, e, largest)
+    )
+
+
+def unseen(absent: AbsentEffects, possible: Collection[str]) -> tuple[Undecided, ...]:
+    """Absent terms of which sizes as large as the whole motion would hide."""
+    at_bound = _sizes_at_bound(absent.fitted)
+    reason = (
+        f"nothing can be excluded beside a model whose {at_bound[0]} is at its bound"
+        if at_bound
+        else "these data would not show it, however large: what the model has already makes up for it"
+    )
+    terms = {
+        (e.term.name, e.term.joint): None
+        for e, largest in _largest_hidden(absent)
+        if e.term.key not in possible and _goes_unseen(absent, e, largest)
+    }
+    return tuple(Undecided(*term, (), reason) for term in terms)
+
+
+def _largest_hidden(absent: AbsentEffects) -> Iterator[tuple[AbsentEffect, float]]:
+    """Linearised estimate of every absent term beside the final model, ± its 99 % error, in SI units.
 
     What the model leaves goes together within a window; the error is the larger of what noise makes of it and
-    of what the windows themselves differ by (clustered errors: Liang and Zeger 1986). ``possible`` are keys
-    of terms that may well be there: they are left out.
+    of what the windows themselves differ by (clustered errors: Liang and Zeger 1986).
     """
     problem, residuals, own = absent.fitted.problem, absent.fitted.solution.residuals, absent.slopes
     basis, _ = np.linalg.qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300))
-    limits = []
     for effect in absent.effects:
-        term, parameter = effect.term, effect.parameter
-        if term.key in possible:
-            continue
         column = effect.response - basis @ (basis.T @ effect.response)
         power = float(column @ column)
         if power <= 1e-12:
+            yield effect, np.inf
             continue
         value = -float(column @ residuals) / power
         left = column * (residuals + value * column)
         noise = absent.fitted.noise / np.sqrt(power)
         error = max(noise, float(np.linalg.norm(problem.per_window(left))) / power)
-        largest = (abs(value) + stats.norm.ppf(0.995) * error) * parameter.scale
-        limits.append(
-            Excluded(term.name, term.joint, float(largest), parameter.unit, 0.99, parameter.recording)
-        )
-    return tuple(limits)
+        yield effect, float((abs(value) + stats.norm.ppf(0.995) * error) * effect.parameter.scale)
+
+
+def _goes_unseen(absent: AbsentEffects, effect: AbsentEffect, size: float) -> bool:
+    """Whether an effect of that size is more than it can be, or moves outputs as much as they move at all.
+
+    There responses are linear no longer, and a limit would exclude nothing. Beside a size of the rig that is
+    at its bound responses say nothing: an input that has no effect may have any dead zone.
+    """
+    parameter, problem = effect.parameter, absent.fitted.problem
+    if _sizes_at_bound(absent.fitted):
+        return True
+    if not np.isfinite(size) or abs(size) > max(abs(parameter.lower), abs(parameter.upper)):
+        return True
+    outputs = problem.record.outputs[problem.windows.rows] / problem.sigma
+    motion = np.linalg.norm(outputs - outputs.mean(axis=0))
+    return bool(np.linalg.norm(effect.response) * size / parameter.scale > motion)
+
+
+def _sizes_at_bound(fitted: Fitted) -> list[str]:
+    """The rig's own sizes that a fit took to a bound."""
+    problem = fitted.problem
+    sizes = [problem.model.parameters[i] for j, i in enumerate(problem.free) if problem.is_size(j)]
+    return [size.key for size in sizes if size.at_bound(fitted.estimates[size.key])]
