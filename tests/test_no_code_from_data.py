@@ -46,6 +46,7 @@ def faults(text: str) -> Iterator[str]:
                 yield f"{node.lineno}: {called}(…) without allow_pickle=False"
 
 
+@pytest.mark.extended
 def test_nothing_that_is_read_becomes_code() -> None:
     found = [
         f"{path.relative_to(ROOT)}:{fault}"

@@ -145,6 +145,11 @@ class Diagnosis(ComputedResult["DiagnosisPart", "DiagnosisResult"]):
         return tuple(each for each in (self._part.curve, *self._part.further_curves) if each is not None)
 
     @property
+    def next_steps(self) -> tuple[str, ...]:
+        """What to do next, the most useful first: a sentence or two each."""
+        return self._part.next_steps
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """What is doubtful in the data, or was taken for known, a sentence each."""
         return (*self._part.doubts, *self._part.notes)

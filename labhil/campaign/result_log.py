@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -61,6 +61,37 @@ def catalogue(folder: Path, entry: Mapping[str, Any], recording: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def left_behind(folder: Path) -> list[Path]:
+    """Recordings that were finished while no worker was there, or that one could not get to.
+
+    They are newer than the folder's first entry and have none of their own. In a folder where no worker ever
+    was there are none: what lies there is nobody's order. Lines that cannot be read count for nothing.
+    """
+    entries = list(_entries(folder))
+    if not entries:
+        return []
+    began = min(datetime.fromisoformat(entry["time"]).timestamp() for entry in entries)
+    known = {entry["recording"] for entry in entries}
+    return sorted(
+        path for path in folder.glob("*.mcap") if path.name not in known and path.stat().st_mtime > began
+    )
+
+
+def _entries(folder: Path) -> Iterator[dict[str, str]]:
+    """The lines of a folder's ``results.jsonl`` that say when something came of which recording."""
+    try:
+        lines = (folder / RESULT_LOG).read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return
+    for line in lines:
+        try:
+            found = parse_json(line)
+            datetime.fromisoformat(found["time"])
+            yield {"time": found["time"], "recording": str(found["recording"])}
+        except (ValueError, KeyError, TypeError):
+            continue
 
 
 def verdict_of(result: Path) -> str | None:

@@ -16,7 +16,7 @@ from typing import Any
 
 from labhil.bus.keys import WORKER_PROGRESS, WORKER_RESULT
 from labhil.bus.session import Bus
-from labhil.campaign.result_log import catalogue, verdict_of
+from labhil.campaign.result_log import catalogue, left_behind, verdict_of
 from labhil.campaign.studies.jobs import Job, Jobs
 from labhil.campaign.studies.study import Task
 from labhil.errors import LabhilError
@@ -31,7 +31,8 @@ Say = Callable[[str], None]
 class Worker:
     """Works on what is finished in ``folder`` after it began; close it to end what it is doing.
 
-    Whatever is wrong with a recording, the next one is studied: each study has a process and a time limit.
+    What was recorded since one was there last comes first. Whatever is wrong with a recording, the next one
+    is studied: each study has a process and a time limit.
 
     Args:
         folder: Where recordings appear.
@@ -53,7 +54,7 @@ class Worker:
     ) -> None:
         self._folder, self._tasks, self._bus, self._say = folder, tasks, bus, say
         self._longest = longest
-        self._seen = set(folder.glob("*.mcap"))
+        self._seen = set(folder.glob("*.mcap")) - self._left_behind()
         self._waiting: list[Task] = []
         self._said: queue.Queue[tuple[int, dict[str, Any]]] = queue.Queue()
         self._jobs = Jobs(lambda number, line: self._said.put((number, line)), time.monotonic)
@@ -80,6 +81,13 @@ class Worker:
     def close(self) -> None:
         """End what is at work; recordings and results are whole, as ever."""
         self._jobs.close()
+
+    def _left_behind(self) -> set[Path]:
+        found = left_behind(self._folder)
+        if found:
+            names = ", ".join(path.name for path in found)
+            self._say(f"recorded while nobody studied what came in, so now: {names}")
+        return set(found)
 
     def _take(self, path: Path) -> None:
         try:

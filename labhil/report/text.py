@@ -247,6 +247,8 @@ def diagnosis_text(diagnosis: DiagnosisPart) -> RenderableType:
         parameter_table(diagnosis.judged_rows, "Final model"),
         *[Text(line) for line in [disagreement(diagnosis.scale_factor)] if line],
         *_not_found(diagnosis),
+        Text("What to do next", style="bold"),
+        *(Text(f"· {step}") for step in diagnosis.next_steps),
     )
 
 

@@ -199,7 +199,12 @@ def diagnosis_text(found: DiagnosisPart, colours: Colours) -> RenderableType:
         parts += [_title("How much better", colours), _improvement(found.improvement, colours)]
     parts += [_title("Final model", colours), parameter_table(found.judged_rows, colours)]
     parts += [Text(line) for line in [disagreement(found.scale_factor)] if line]
-    return Group(*parts, *_rest(found, colours))
+    return Group(*parts, *_rest(found, colours), *_next_steps(found, colours))
+
+
+def _next_steps(found: DiagnosisPart, colours: Colours) -> Iterator[RenderableType]:
+    yield _title("What to do next", colours)
+    yield from (Text(f"· {step}") for step in found.next_steps)
 
 
 def _missing(item: MissingEffect, rivals: Sequence[Rival], colours: Colours) -> RenderableType:

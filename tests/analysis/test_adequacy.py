@@ -81,6 +81,7 @@ def test_an_incomplete_model_has_intervals_that_hold_how_far_its_estimates_move(
     assert np.sqrt(np.diag(found.covariance)) == pytest.approx(errors)
 
 
+@pytest.mark.extended
 def test_a_chopped_current_is_named(motor):
     outputs = motor.record.outputs.copy()
     outputs[:, 1] = np.abs(outputs[:, 1]) * (1.0 - (-1.0) ** np.arange(len(outputs)))

@@ -182,6 +182,7 @@ def test_keys_tell_joints_apart_and_a_name_means_all_of_them(model):
     assert model.metric == "inverse_dynamics"
 
 
+@pytest.mark.extended
 def test_bare_links_are_the_engines_rigid_body():
     bare = acquired([], EXACT, seconds=6.0)
     model = ArmModel(rig(), bare)

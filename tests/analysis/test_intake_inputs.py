@@ -135,6 +135,7 @@ def smooth(n=1200) -> np.ndarray:
     return 3.0 * (np.sin(4.4 * t) + 0.7 * np.sin(12.0 * t + 1.0) + 0.4 * np.sin(27.0 * t))
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("samples", [0, 1, 2])
 def test_a_smooth_input_that_is_late_is_found_by_the_rig_s_model(samples):
     record = late(motor(smooth()), samples)
@@ -193,6 +194,7 @@ def test_in_closed_loop_only_an_input_that_is_late_is_called_so(samples, control
         assert why_untimed(model, record) is None
 
 
+@pytest.mark.extended
 def test_an_end_that_was_asked_for_waits_for_what_has_a_result():
     record = late(motor(smooth()), 2)
     model = model_for(default_rig("dc_motor"), record)
@@ -214,6 +216,7 @@ def test_where_the_model_is_not_asked_about_late_stamps_that_is_said():
     assert "it is measured" in (why_untimed(model_for(default_rig("solenoid"), solenoid), solenoid) or "")
 
 
+@pytest.mark.extended
 def test_how_an_input_runs_between_samples_is_seen_in_the_data():
     held = motor(smooth())
     fine = motor(np.interp(0.1 * np.arange(12000), np.arange(1200), smooth()), period=0.001)
@@ -350,6 +353,7 @@ def warm_tank(late_by: tuple[int, int]) -> tuple[Model, Record]:
     return stated(default_rig("dc_motor")), Record(t, inputs, y, *names)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("late_by", [(0, 0), (0, 1), (2, 0)])
 def test_of_several_inputs_the_one_that_is_late_is_named(late_by):
     model, record = warm_tank(late_by)

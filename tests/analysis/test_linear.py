@@ -59,6 +59,7 @@ CASES = {
 }
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("name", CASES)
 def test_poles_of_a_known_system_are_found(name: str) -> None:
     u, y = motor()

@@ -79,6 +79,7 @@ def bands() -> tuple[float, ...]:
     return found
 
 
+@pytest.mark.extended
 def test_a_twin_whose_physics_is_the_model_agrees_for_the_whole_run(bands):
     data = played(31, 90.0, {})
     shadow = shadow_of(bands)

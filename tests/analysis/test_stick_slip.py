@@ -74,6 +74,7 @@ def stick_slip(omega, pull, static, coulomb, t):
     return x, np.array(moments)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(("omega", "pull"), [(7.0, 0.05), (20.0, 0.02), (3.0, 0.2)])
 def test_every_stick_and_slip_is_right_to_the_sample(omega, pull):
     static, coulomb = 2.0, 1.2
@@ -241,6 +242,7 @@ assert np.isfinite(speed).all() and np.isfinite(current).all()
 """
 
 
+@pytest.mark.extended
 def test_a_simulation_of_impossible_values_ends():
     # a current of 14 kA and a winding of 5 µs: steps no law allows, events without end
     here = str(Path(__file__).parent)
@@ -255,6 +257,7 @@ print(twice(1.0))
 """
 
 
+@pytest.mark.extended
 def test_a_kernel_on_disk_follows_laws_of_other_files(tmp_path, monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
     (tmp_path / "kernel.py").write_text(

@@ -107,6 +107,7 @@ def both() -> tuple[Data, tuple[ForceCurve, ...]]:
     return data, curves_of(data, base)
 
 
+@pytest.mark.extended
 def test_each_torque_is_found_on_its_joint_within_its_band() -> None:
     _, curves = both()
     found = {curve.joint: curve for curve in curves}

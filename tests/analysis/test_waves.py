@@ -36,6 +36,7 @@ def without_waves(kind: str, found: Replay) -> Fitted:
     return fit_terms(model, record, rig_model(kind).baseline, model.horizon, noise_of(record))
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("kind, orders", [("dc_motor", (5.3, 16.4)), ("axis", (150.0, 431.0))])
 def test_an_order_that_nobody_knows_is_among_the_starts(kind, orders):
     for seed, order in enumerate(orders):

@@ -208,6 +208,7 @@ def test_progress_is_told_to_a_function_and_work_ends_early_with_the_best_so_far
     assert str(short).startswith("ENDED EARLY")
 
 
+@pytest.mark.extended
 def test_no_terms_are_no_terms_and_not_the_usual_ones():
     bare = lh.diagnose(IDENTIFY, baseline=[], span=(0, 10), seconds=1)
     assert bare.baseline.terms == ()

@@ -45,6 +45,7 @@ def test_a_printed_fit_is_what_the_command_prints_and_its_file_what_the_command_
     assert out.read_text().count("\n") == (tmp_path / "own.json").read_text().count("\n")
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("name", ["fit", "dx"])
 def test_a_result_comes_back_from_its_file_and_from_a_pickle(name, request, tmp_path):
     result = request.getfixturevalue(name)
@@ -87,6 +88,7 @@ def test_parameters_are_read_by_name_and_by_place(fit):
     assert np.sqrt(np.diag(fit.covariance)) == pytest.approx(errors)
 
 
+@pytest.mark.extended
 def test_the_model_of_a_fit_runs_on_another_recording_as_it_was_scored(fit):
     on_test = fit.simulate(lh.read(TEST))
     assert on_test.simulated["ball_position"].shape == on_test.t.shape == (len(lh.read(TEST)),)
@@ -144,6 +146,7 @@ def test_a_diagnosis_says_what_is_missing_and_where(dx):
     assert str(dx).startswith("Physics is missing from the baseline.")
 
 
+@pytest.mark.extended
 def test_a_result_is_held_against_a_recording_and_starts_another_fit(fit, dx, tmp_path):
     verified = lh.verify(TEST, dx)
     assert not verified.contradicted

@@ -42,6 +42,7 @@ def reader(tmp_path: Path) -> Iterator[Reader]:
         yield one
 
 
+@pytest.mark.extended
 @pytest.mark.timeout(300)
 def test_every_command_reads_the_files_before_they_are_spoilt(reader: Reader, tmp_path: Path) -> None:
     """Otherwise the cases would only show that something else is refused."""
@@ -56,6 +57,7 @@ def test_every_command_reads_the_files_before_they_are_spoilt(reader: Reader, tm
     assert found == {}
 
 
+@pytest.mark.extended
 @pytest.mark.timeout(300)
 def test_bad_files_are_read_or_refused(reader: Reader, tmp_path: Path) -> None:
     tally = Tally()

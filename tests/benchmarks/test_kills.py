@@ -28,6 +28,7 @@ def test_a_power_failure_keeps_what_was_forced_to_the_disk() -> None:
     assert any(kept) and not all(kept)
 
 
+@pytest.mark.extended
 def test_a_killed_recorder_leaves_all_but_the_last_moment(tmp_path: Path) -> None:
     trial = kill_trials.kill_recorder(None, tmp_path, random.Random(2))
     assert len(trial["files"]) == 3

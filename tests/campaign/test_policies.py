@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import signal
 import subprocess
 import sys
 import time
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,7 @@ import pytest
 
 from labhil.bus.session import open_bus
 from labhil.campaign.policies import Policies, check_policies
-from labhil.campaign.result_log import RESULT_LOG
+from labhil.campaign.result_log import RESULT_LOG, left_behind
 from labhil.campaign.studies.study import Task
 from labhil.campaign.worker import Worker
 from labhil.errors import ExperimentFileError, RecordingError
@@ -150,6 +152,35 @@ def test_a_recording_that_cannot_be_read_and_a_study_that_does_not_end_stop_noth
         assert (entry["recording"], entry["state"], entry["result"]) == ("b_good.mcap", "cancelled", None)
         assert "ended by force" in entry["said"]
     assert any("a_bad.mcap: not studied" in line for line in said)
+
+
+def test_what_came_while_no_worker_was_there_is_studied_and_nothing_older(tmp_path: Path) -> None:
+    now = time.time()
+    log = [
+        {"time": datetime.fromtimestamp(now - 100.0, UTC).isoformat(), "recording": "done.mcap"},
+        {"time": "never", "recording": "c.mcap"},
+        ["nonsense"],
+    ]
+    (tmp_path / RESULT_LOG).write_text("".join(json.dumps(line) + "\n" for line in log) + '{"half\n')
+    for name, age in (("old", 200.0), ("done", 150.0), ("missed", 50.0), ("late", 60.0)):
+        path = tmp_path / f"{name}.mcap"
+        path.write_bytes(b"no recording at all")
+        os.utime(path, (now - age, now - age))
+    said: list[str] = []
+    with open_bus() as bus:
+        worker = Worker(tmp_path, Policies.of(load_lab(lab_file(tmp_path, ""))).tasks, bus, said.append)
+        worker.look()
+        worker.close()
+        again = Worker(tmp_path, Policies.of(load_lab(lab_file(tmp_path, ""))).tasks, bus, said.append)
+        again.look()
+        again.close()
+    assert said[0] == "recorded while nobody studied what came in, so now: late.mcap, missed.mcap"
+    assert [line.partition(":")[0] for line in said[1:]] == ["late.mcap", "missed.mcap"]
+
+
+def test_in_a_folder_where_no_worker_ever_was_nothing_is_left_behind(tmp_path: Path) -> None:
+    shutil.copyfile(SHIPPED, tmp_path / "old.mcap")
+    assert left_behind(tmp_path) == []
 
 
 @pytest.mark.extended

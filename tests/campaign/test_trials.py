@@ -154,6 +154,7 @@ def test_answers_within_reach_of_a_diagnosis_are_refused(tmp_path):
         make_trials(Order("axis", 1, "1", tmp_path / "a", tmp_path / "a" / "answers"), 1, silent)
 
 
+@pytest.mark.extended
 def test_a_trial_is_the_same_bytes_however_long_a_loaded_machine_takes(tmp_path, monkeypatch):
     order = Order("axis", 1, "0", tmp_path / "a", tmp_path / "b", 4)
     at_once = make_trials(order, 1, silent)

@@ -107,6 +107,7 @@ def shown(
     return done.returncode, done.stdout, done.stderr.decode()
 
 
+@pytest.mark.extended
 def test_a_terminal_with_few_characters_and_a_reader_that_leaves_are_no_failure() -> None:
     status, out, err = shown("terms", "ball_beam", encoding="cp1252")
     assert (status, err) == (0, "") and b"stribeck_friction" in out

@@ -149,6 +149,7 @@ def test_readers_work_under_a_limit_of_memory_set_for_good(tmp_path: Path) -> No
     assert (done.stdout.strip(), done.stderr) == ("3", "")
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
@@ -177,6 +178,7 @@ def test_an_fmu_that_unpacks_to_too_much_is_never_unpacked(tmp_path: Path) -> No
         FmuFile(tmp_path / "a.fmu")
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [

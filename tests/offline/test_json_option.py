@@ -18,6 +18,7 @@ def test_json_goes_to_stdout(labhil, asked, place):
     assert list(json.loads(done.out)["rigs"]) == ["axis"]
 
 
+@pytest.mark.extended
 def test_json_goes_to_a_file_and_the_result_is_shown_too(labhil, tmp_path):
     done = labhil("terms", "axis", "--json", "terms.json")
     assert json.loads((tmp_path / "terms.json").read_text())["schema"] == "labhil.terms/1"

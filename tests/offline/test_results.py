@@ -137,6 +137,7 @@ def test_the_same_fit_twice_gives_the_same_numbers(fit):
     assert one["covariance"] == two["covariance"]
 
 
+@pytest.mark.extended
 def test_the_table_shows_what_the_json_holds(fit):
     data, text = fit("--terms", TERMS)
     for row in data["parameters"]:

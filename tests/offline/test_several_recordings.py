@@ -111,6 +111,7 @@ def test_every_recording_may_have_a_test_of_its_own(labhil, axis, tmp_path):
     assert "--test: expected one for each of the 2 recordings" in refused
 
 
+@pytest.mark.extended
 def test_faults_are_told_of_the_recording_that_has_them(labhil, axis, tables, tmp_path):
     lines = tables["b"].splitlines(keepends=True)
     for i in range(600, 760):

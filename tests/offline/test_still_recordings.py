@@ -94,6 +94,7 @@ def test_a_fit_of_what_stands_still_is_refused(labhil, tmp_path: Path, case: str
     assert not (tmp_path / "fit.json").exists()
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("case", ["a position that stands", "a position that stands, and no input"])
 def test_a_diagnosis_of_what_stands_still_says_that_it_cannot_tell(labhil, tmp_path: Path, case: str) -> None:
     rig, columns, _ = STILL[case]

@@ -126,6 +126,7 @@ def test_a_delay_leaves_residuals_that_no_values_explain(labhil, record, accepte
     assert channel["structure_p"] < 1e-6
 
 
+@pytest.mark.extended
 def test_without_a_covariance_values_count_as_exact(labhil, record, accepted):
     name = record("d.mcap", carriage(4))
     done = labhil("verify", name, "--model", accepted(covariance=None))
@@ -187,6 +188,7 @@ def test_too_short_a_recording_is_refused(labhil, record, accepted):
     assert "too short" in said
 
 
+@pytest.mark.extended
 def test_what_is_wrong_with_the_recording_is_named_before_the_model_is_blamed(
     labhil, record, accepted, tmp_path
 ):

@@ -53,6 +53,7 @@ def beside_the_body(terms, parameters=None):
     return (truth.torque - truth.body)[moving], truth.qd[moving], truth.q[moving], truth.body[moving]
 
 
+@pytest.mark.extended
 def test_a_bare_arm_needs_the_rigid_bodys_torque_and_nothing_else():
     run = followed([], EXACT)
     expected = RigidBody(UR5).torques(run.truth.q, run.truth.qd, run.truth.qdd)

@@ -45,6 +45,7 @@ def test_a_blocked_motor_is_a_coil_with_a_resistance_that_warms():
     assert late[1] - late[0] == pytest.approx(0.01 * (1.5 * 2.0**2 - (late[0] - 25.0) / 4.0) / 60.0, rel=1e-3)
 
 
+@pytest.mark.extended
 def test_a_free_motor_is_linear_of_second_order():
     seen = DcMotorPlant(QUIET_MOTOR, ["viscous_friction"]).simulate(np.full(301, 3.0))
     matrix = np.array([[-0.05 / 0.1, 0.2 / 0.1], [-0.2 / 0.1, -1.5 / 0.1]])
@@ -56,6 +57,7 @@ def test_a_free_motor_is_linear_of_second_order():
     np.testing.assert_allclose(seen.measured["current"], exact[1].real, atol=1e-8)
 
 
+@pytest.mark.extended
 def test_an_axis_with_dry_and_viscous_friction_coasts_to_a_stop_in_closed_form():
     force = np.r_[np.full(400, 150.0), np.zeros(1001)]
     seen = AxisPlant(QUIET_AXIS, FRICTION).simulate(force)
@@ -106,6 +108,7 @@ def test_a_plunger_without_friction_is_a_mass_on_a_spring():
     np.testing.assert_allclose(seen.measured["plunger_position"], exact, atol=1e-9)
 
 
+@pytest.mark.extended
 def test_a_plunger_leaves_a_stop_with_the_restitution_of_its_speed():
     """From −A the spring shoots it at a stop in the middle: each way back is shorter by the restitution."""
     h, omega = 1e-4, np.sqrt(6850.0 / 0.064)

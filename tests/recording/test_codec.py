@@ -68,6 +68,7 @@ def assert_same(one, two):
     assert np.array_equal(one.values, two.values, equal_nan=True)
 
 
+@pytest.mark.extended
 @given(samples())
 def test_bytes_equal_protobufs_own_and_come_back(sample):
     stream, batch = sample

@@ -145,6 +145,7 @@ def test_list_shows_a_verification_with_its_verdict(tmp_path: Path) -> None:
     assert entry.summary == "run.mcap"
 
 
+@pytest.mark.extended
 def test_list_finds_by_tag_rig_time_and_text(tmp_path: Path) -> None:
     day = 86_400_000_000_000
     write(tmp_path / "a.mcap", tags=["cold"], marker="oil added")

@@ -103,6 +103,7 @@ def held(tmp_path: Path) -> Any:
             run.thread.join(PATIENCE)
 
 
+@pytest.mark.extended
 def test_a_marker_stands_in_the_recording_at_its_moment(held: Callable[[float], Held]) -> None:
     run = held(100.0)
     run.wait_for(RunState.RUNNING, elapsed=2.0)
@@ -123,6 +124,7 @@ def test_a_marker_stands_in_the_recording_at_its_moment(held: Callable[[float], 
         run.control.mark("too late")
 
 
+@pytest.mark.extended
 def test_a_pause_makes_safe_and_the_steps_go_on_where_they_were(held: Callable[[float], Held]) -> None:
     run = held(8.0)
     run.wait_for(RunState.RUNNING, elapsed=3.0)

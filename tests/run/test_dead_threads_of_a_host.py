@@ -31,6 +31,7 @@ if "labhil.service.host" in sys.orig_argv:
 """
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     ("owner", "method", "module", "key"),
     [

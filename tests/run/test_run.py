@@ -287,6 +287,7 @@ def test_garbage_on_the_line_is_bad_input(cli: Cli) -> None:
     assert cli.recordings() == []
 
 
+@pytest.mark.extended
 def test_a_host_that_is_killed_ends_the_run(cli: Cli) -> None:
     process = cli.start(experiment(duration=100.0))
     cli.wait_until_it_records()
@@ -297,6 +298,7 @@ def test_a_host_that_is_killed_ends_the_run(cli: Cli) -> None:
     assert read_recording(cli.directory / last_line(done)).complete
 
 
+@pytest.mark.extended
 def test_a_run_that_is_killed_takes_everything_with_it(cli: Cli) -> None:
     process = cli.start(experiment(duration=100.0))
     cli.wait_until_it_records()

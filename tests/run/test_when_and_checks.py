@@ -98,6 +98,7 @@ def test_a_step_begins_when_its_condition_holds_and_lasts_as_long_as_it_says(tmp
     assert back[-1] - back[0] == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.extended
 def test_a_condition_that_never_holds_ends_the_run_safe_and_says_what_was_there(tmp_path: Path) -> None:
     result, recording = run(tmp_path, text(when=NEVER.replace("WAIT", "1.5")))
     assert isinstance(result.error, ConditionError)
@@ -133,6 +134,7 @@ class Waiting:
         return self.result, read_recording(self.result.path)
 
 
+@pytest.mark.extended
 def test_the_emergency_stop_ends_a_run_that_waits(tmp_path: Path, no_stop_stands: None) -> None:
     waiting = Waiting(tmp_path, text(when=NEVER.replace("WAIT", "600.0")))
     assert waiting.stands_at.wait(PATIENCE)
@@ -142,6 +144,7 @@ def test_the_emergency_stop_ends_a_run_that_waits(tmp_path: Path, no_stop_stands
     assert last_voltage(recording) == 0.0
 
 
+@pytest.mark.extended
 def test_a_run_that_waits_can_be_paused_resumed_and_stopped(tmp_path: Path) -> None:
     waiting = Waiting(tmp_path, text(when=NEVER.replace("WAIT", "600.0")))
     assert waiting.stands_at.wait(PATIENCE)
@@ -236,6 +239,7 @@ def test_a_check_that_fails_before_the_steps_moves_nothing(tmp_path: Path) -> No
     assert np.all(recording.stream_with("voltage")["voltage"] == 0.0)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(("condition", "is_good"), [("abs(speed) < 0.5", True), ("speed > 1e5", False)])
 def test_a_check_after_the_steps_sees_the_device_in_its_safe_state(
     tmp_path: Path, condition: str, is_good: bool
@@ -252,6 +256,7 @@ def test_a_check_after_the_steps_sees_the_device_in_its_safe_state(
         assert messages(recording, "failed") == [result.reason]
 
 
+@pytest.mark.extended
 def test_a_check_after_the_steps_ends_with_the_emergency_stop_too(
     tmp_path: Path, no_stop_stands: None
 ) -> None:

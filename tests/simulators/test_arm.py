@@ -139,6 +139,7 @@ def test_a_joint_that_turns_the_other_way_is_said_so(tmp_path: Path) -> None:
     assert [note[:14] for note in notes if "turns the other way" in note] == ["lift (joint 1)"]
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(("text", "name"), [(MJCF, "reach.xml"), (URDF, "reach.urdf")])
 def test_a_diagnosis_is_put_into_the_file_and_mujoco_keeps_its_promise(
     tmp_path: Path, text: str, name: str
@@ -172,6 +173,7 @@ def test_a_diagnosis_is_put_into_the_file_and_mujoco_keeps_its_promise(
         found.patch(tmp_path / name, out, rig=rig)
 
 
+@pytest.mark.extended
 def test_values_of_another_file_are_refused(tmp_path: Path) -> None:
     rig = bench(tmp_path)
     found = lh.fit(recorded(tmp_path, rig, seconds=20.0), rig)

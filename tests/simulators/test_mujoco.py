@@ -63,6 +63,7 @@ def test_the_file_stands_for_a_rig_wherever_one_is_named(tmp_path: Path) -> None
     assert lh.model(rig).known == {"rod_mass": 0.459}
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("file", [FILE, CART], ids=["pendulum", "servo"])
 def test_what_is_fitted_is_what_mujoco_solves(tmp_path: Path, file: str) -> None:
     """Against MuJoCo's Runge-Kutta steps of 0.1 ms; its friction is left out, which it smooths."""
@@ -156,6 +157,7 @@ def test_other_names_of_the_signals_are_put_together_in_a_proposal(tmp_path: Pat
     assert 'inputs = { torque = "motor" }\noutputs = { angle = "encoder" }' in str(refused.value)
 
 
+@pytest.mark.extended
 def test_a_value_that_mujoco_never_reads_is_said_so(tmp_path: Path) -> None:
     file = FILE.replace("<option", '<option><flag spring="disable"/></option><option').replace(
         'axis="0 1 0"', 'axis="0 1 0" stiffness="0.3"'
@@ -222,6 +224,7 @@ def stepped(f: object = step) -> lh.Simulator:
     )
 
 
+@pytest.mark.extended
 def test_a_python_step_is_tabulated_likewise(tmp_path: Path) -> None:
     run = lh.read(recorded(bench(tmp_path), seed=5, seconds=6.0))
     fit = lh.fit(run, stepped(), terms=["viscous_friction"])
@@ -245,6 +248,7 @@ def test_a_step_with_a_jump_is_refused(tmp_path: Path) -> None:
         )  # type: ignore[arg-type]
 
 
+@pytest.mark.extended
 def test_a_term_that_the_files_own_values_stand_for_is_not_asked_for_by_default(tmp_path: Path) -> None:
     """A DC motor's back-EMF is damping: with mass and gear free, more of it cannot be told."""
     motor = '<dcmotor name="motor" joint="hinge" motorconst="0.3" resistance="2"/>'

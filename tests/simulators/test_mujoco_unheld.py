@@ -77,6 +77,7 @@ def test_what_cannot_be_held_is_refused_before_anything_is_fitted(
         lh.mujoco_simulator(tmp_path / "rod.xml")
 
 
+@pytest.mark.extended
 def test_what_matters_only_in_places_is_named_in_the_notes(tmp_path: Path) -> None:
     file = FILE.replace(
         '<body name="rod">',

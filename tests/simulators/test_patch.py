@@ -123,6 +123,7 @@ def test_the_repaired_file_keeps_the_promise_and_the_old_one_stays(fitted: Path,
         patch(fitted / "fit.json", fitted / "rod.xml", out, fitted / "rig.toml")
 
 
+@pytest.mark.extended
 def test_a_result_in_python_is_put_into_the_file_by_itself(
     fitted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -61,6 +61,7 @@ def test_its_acceleration_is_that_of_short_rollouts(f: Callable[..., Any]) -> No
     assert rig.stepped.ask([0.025, 0.45])(x, v, u) == pytest.approx(exact, rel=5e-3)
 
 
+@pytest.mark.extended
 def test_a_fit_finds_the_plant_through_it(tmp_path: Path) -> None:
     rig = rolled()
     run = lh.read(recorded(bench(tmp_path), seed=5, seconds=6.0))

@@ -227,6 +227,7 @@ def test_a_rig_file_names_a_python_file(tmp_path: Path) -> None:
         lh.model(rig)
 
 
+@pytest.mark.extended
 def test_code_that_came_with_a_recording_is_not_run(tmp_path: Path) -> None:
     count = f"from pathlib import Path\nran = Path({str(tmp_path / 'ran')!r})\n"
     count += "ran.write_text(ran.read_text() + 'x' if ran.exists() else 'x')\n"

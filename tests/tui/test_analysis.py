@@ -45,6 +45,7 @@ def shown(dialog: AnalysisDialog, name: str) -> str:
     return str(dialog.query_one(name, Static).render())
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("size", [(80, 24), (160, 50)])
 def test_the_terms_stand_there_in_the_words_of_the_catalogue(folder: Path, size: tuple[int, int]) -> None:
     async def drive(pilot: Pilot[None], app: LabApp) -> None:

@@ -171,6 +171,7 @@ async def until(pilot: Pilot[None], condition: Callable[[], bool]) -> None:
         await pilot.pause(0.05)
 
 
+@pytest.mark.extended
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("concealed", [False, True], ids=["the model", "more than the model"])
 def test_a_model_beside_a_twin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, concealed: bool) -> None:

@@ -49,6 +49,7 @@ class HostileLab(StillLab):
         return [Announcement(NOW_NS, HOSTILE, HOSTILE, HOSTILE)]
 
 
+@pytest.mark.extended
 def test_words_from_outside_are_no_markup_on_any_screen(folder: Path) -> None:
     fit = next(folder.glob("*.fit.json"))
     data = json.loads(fit.read_text(encoding="utf-8"))

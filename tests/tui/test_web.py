@@ -162,6 +162,7 @@ def test_pages_of_other_sites_are_refused(folder: Path) -> None:
         asyncio.run(look(address))
 
 
+@pytest.mark.extended
 def test_what_is_no_message_of_a_page_ends_that_page_only(folder: Path) -> None:
     async def say(address: str, said: str) -> None:
         async with aiohttp.ClientSession() as session, session.ws_connect(f"{address}ws") as link:
@@ -178,6 +179,7 @@ def test_what_is_no_message_of_a_page_ends_that_page_only(folder: Path) -> None:
         asyncio.run(drive(address))
 
 
+@pytest.mark.extended
 def test_beyond_the_loopback_a_token_is_needed_once(folder: Path) -> None:
     async def look(address: str) -> None:
         here = re.sub(r"//[^:]+:", "//127.0.0.1:", address)
@@ -284,6 +286,7 @@ def test_a_run_ends_in_order_with_its_page(tmp_path: Path, how: str) -> None:
     assert "terminal UI" in end["reason"]
 
 
+@pytest.mark.extended
 def test_a_killed_server_leaves_no_page_behind(folder: Path) -> None:
     async def talk(link: aiohttp.ClientWebSocketResponse, _address: str) -> None:
         process.kill()
@@ -309,6 +312,7 @@ def test_a_killed_server_leaves_no_page_behind(folder: Path) -> None:
         assert left == []
 
 
+@pytest.mark.extended
 def test_wrong_use_is_answered_before_anything_is_served(tmp_path: Path) -> None:
     def refused(*options: str) -> str:
         command = [sys.executable, "-P", "-m", "labhil", "tui", "--web", *options]
@@ -347,6 +351,7 @@ async def shown(page: Page, address: str, width: int = 1280, height: int = 800) 
             await asyncio.sleep(0.1)
 
 
+@pytest.mark.extended
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
 def test_in_chromium_keys_and_mouse_work_and_the_stop_reaches_the_machine(folder: Path) -> None:
     async def drive(address: str) -> None:
@@ -372,6 +377,7 @@ def test_in_chromium_keys_and_mouse_work_and_the_stop_reaches_the_machine(folder
         release_everywhere()
 
 
+@pytest.mark.extended
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
 def test_in_chromium_a_token_opens_the_page_in_light_and_in_small(folder: Path) -> None:
     async def drive(address: str) -> None:

@@ -110,6 +110,7 @@ def until(driver, reached, command=None):
         driver.read(0.01)
 
 
+@pytest.mark.extended
 def test_without_the_client_library_it_listens_and_says_what_moves_it(monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "rtde_control", None)
     with ur5_twin() as (address, _), Ur5Driver(address) as driver:

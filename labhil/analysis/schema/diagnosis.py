@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal
 
+from labhil.analysis.diagnosis_words import next_steps
 from labhil.analysis.schema.parts import (
     ChannelErrors,
     EstimatedCurve,
@@ -390,6 +391,11 @@ class DiagnosisPart(StudyPart):
     def asks_baseline(self) -> bool:
         """Whether ``p_value`` tells whether the baseline suffices; 1 stands for nothing else."""
         return self.verdict not in ("data_fault", "not_decidable")
+
+    @property
+    def next_steps(self) -> tuple[str, ...]:
+        """What to do next, the most useful first: a sentence or two each."""
+        return next_steps(self)
 
     @property
     def judged_rows(self) -> Sequence[Parameter]:

@@ -152,7 +152,8 @@ def noise_beside(problem: Problem, residuals: FloatArray) -> Noise:
 
 def _likeliest_shape(power: FloatArray, shapes: FloatArray) -> tuple[int, float]:
     """Which of the shapes (R, K) a spectrum (K,) has likeliest, and its scale (Whittle 1953)."""
-    scales = np.mean(power / shapes, axis=1)
+    # a part at rest may leave nothing at all
+    scales = np.maximum(np.mean(power / shapes, axis=1), np.finfo(np.float64).tiny)
     best = int(np.argmin(np.log(scales) + np.mean(np.log(shapes), axis=1)))
     return best, float(scales[best])
 

@@ -10,7 +10,7 @@ from labhil.report.html.element import Content, Markup, joined, tag
 from labhil.report.html.model import named, names, recordings_table, warning
 from labhil.report.html.page import Page, Section, present, section
 from labhil.report.html.quantity import NOTHING, interval, p_value, percent, quantity
-from labhil.report.html.table import bullets, facts, numbers, table, text, tiles
+from labhil.report.html.table import bullets, facts, numbers, table, text, tiles, with_code
 
 AGREE = {True: "agree", False: "disagree", None: "not known"}
 
@@ -32,7 +32,7 @@ def comparison_page(found: ComparisonPart, foot: str, pictures: Sequence[Markup]
         lead=_lead(found),
         sections=present(
             section(
-                "What to do next", bullets(map(_with_code, found.next_steps)) if found.next_steps else None
+                "What to do next", bullets(map(with_code, found.next_steps)) if found.next_steps else None
             ),
             section("Measurement and models", *pictures),
             section("How well each predicts", _models(found), _terms(found)),
@@ -41,11 +41,6 @@ def comparison_page(found: ComparisonPart, foot: str, pictures: Sequence[Markup]
         ),
         foot=foot,
     )
-
-
-def _with_code(text: str) -> Markup:
-    """A text whose commands stand between backticks."""
-    return joined(tag("code", piece) if i % 2 else piece for i, piece in enumerate(text.split("`")))
 
 
 def _lead(found: ComparisonPart) -> tuple[Content, ...]:

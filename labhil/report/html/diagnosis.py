@@ -31,7 +31,7 @@ from labhil.report.html.model import (
 from labhil.report.html.page import Page, Section, present, section
 from labhil.report.html.picture import Album
 from labhil.report.html.quantity import NOTHING, chance, interval, multiple, p_value, percent, quantity
-from labhil.report.html.table import bullets, facts, numbers, table, text, tiles
+from labhil.report.html.table import bullets, facts, numbers, table, text, tiles, with_code
 
 P_VALUES = {
     "bootstrap": "It was counted in a bootstrap",
@@ -54,6 +54,7 @@ def diagnosis_page(
         tone=diagnosis.verdict,
         lead=_lead(diagnosis),
         sections=present(
+            section("What to do next", bullets(map(with_code, diagnosis.next_steps))),
             section("Faults of the data", *(tag("p", fault.statement) for fault in diagnosis.faults)),
             section("Sizes that gave way", *(tag("p", size.statement) for size in diagnosis.collapsed)),
             section("What is missing", *(_missing(item, diagnosis.rivals) for item in diagnosis.missing)),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from labhil.report.html.element import Content, Markup, tag
+from labhil.report.html.element import Content, Markup, joined, tag
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +67,11 @@ def tiles(entries: Iterable[tuple[str, Content, Content]]) -> Markup:
         ),
         class_="tiles",
     )
+
+
+def with_code(text: str) -> Markup:
+    """A text whose commands stand between backticks."""
+    return joined(tag("code", piece) if i % 2 else piece for i, piece in enumerate(text.split("`")))
 
 
 def bullets(lines: Iterable[Content]) -> Markup:

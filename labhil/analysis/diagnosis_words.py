@@ -1,0 +1,149 @@
+"""What to do next, after a diagnosis."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING
+
+from labhil.physics.terms import keyed, listed
+
+if TYPE_CHECKING:
+    from labhil.analysis.schema import DiagnosisPart, MissingEffect
+
+UNNAMED = "unmodelled_force"
+"""What an effect is called that has a curve and no law."""
+
+Steps = Iterator[str]
+
+
+def next_steps(found: DiagnosisPart) -> tuple[str, ...]:
+    """What to do next, the most useful first: a sentence or two each."""
+    return tuple(_STEPS[found.verdict](found))
+
+
+def _path(found: DiagnosisPart) -> str:
+    return found.recordings[0].path if found.recordings else "REC.mcap"
+
+
+def _baseline(found: DiagnosisPart) -> str:
+    return ",".join(listed(found.baseline.terms)) or "none"
+
+
+def _ended_early(found: DiagnosisPart) -> Steps:
+    if not found.complete:
+        yield "The search was ended early: let it run to its end, the answer may change."
+
+
+def _of_missing_physics(found: DiagnosisPart) -> Steps:
+    yield from _ended_early(found)
+    for rival in found.rivals:
+        yield (
+            f"To tell {keyed(rival.term, rival.joint)} from {rival.instead_of}, {rival.experiment}, record"
+            " that, and diagnose both recordings together."
+        )
+    named = [item for item in found.missing if item.term != UNNAMED]
+    sized = [item for item in named if _has_size(item)]
+    if sized:
+        yield (
+            f"Put {_names(sized)} into your simulation, with the equations and values given here."
+            " `labhil patch` writes them into a MuJoCo or URDF file."
+        )
+    if len(sized) < len(named):
+        sizeless = _names(item for item in named if not _has_size(item))
+        yield (
+            f"Of {sizeless} these data know the kind and not the size: state in `[known]` what you know of"
+            " the rig, or record a motion that shows it."
+        )
+    if len(named) < len(found.missing):
+        yield (
+            "No law of the catalogue has the shape of the curve: use it as a table, or write the law that you"
+            " think it is (docs/how-to/add-a-law.md) and diagnose again."
+        )
+    if found.remainder is not None:
+        yield (
+            f"More than noise remains: `labhil fit {_path(found)} --terms"
+            f" {','.join(listed(found.final.terms))}` shows where in time."
+        )
+    yield from _judged_on(found)
+
+
+def _has_size(item: MissingEffect) -> bool:
+    return not item.parameters or any(row.identifiable for row in item.parameters)
+
+
+def _judged_on(found: DiagnosisPart) -> Steps:
+    better = found.improvement
+    if better is not None and better.data == "test":
+        yield "Hold the next recording against it: `labhil verify NEW.mcap --model DIAGNOSIS.json`."
+    else:
+        yield (
+            "Judge it on a recording of its own, with other amplitudes and frequencies:"
+            " `labhil verify NEW.mcap --model DIAGNOSIS.json`."
+        )
+
+
+def _of_parameter_change(found: DiagnosisPart) -> Steps:
+    yield from _ended_early(found)
+    changed = [keyed(each.name, each.joint, each.recording) for each in found.changed]
+    yield (
+        f"Take the new value of {_and(changed)} into your simulation, or find out what changed at the rig."
+        " `labhil patch` writes it into a MuJoCo or URDF file."
+    )
+    yield from _judged_on(found)
+
+
+def _of_no_mismatch(found: DiagnosisPart) -> Steps:
+    yield (
+        "Use the model where the recording went. Other amplitudes, speeds or frequencies may show what is"
+        " only excluded up to a size here."
+    )
+    yield from _judged_on(found)
+
+
+def _of_unexplained_mismatch(found: DiagnosisPart) -> Steps:
+    yield from _ended_early(found)
+    if found.location is not None and found.location.times:
+        yield "Look at the rig and its cables at the times that are named: what happened there?"
+    yield (
+        "Record what else may drive the rig (a load, a temperature, a supply) as a further channel, or"
+        " repeat the run: what comes back at the same place is physics, what does not is a disturbance."
+    )
+    yield f"`labhil linear {_path(found)}` tells how well any model without physics predicts these data."
+
+
+def _of_data_fault(found: DiagnosisPart) -> Steps:
+    yield (
+        "Mend the data first, as each fault says, or take a good stretch with `--span FROM TO`; nothing was"
+        " searched."
+    )
+    yield f"Then: `labhil diagnose {_path(found)} --baseline {_baseline(found)}`."
+
+
+def _of_not_decidable(found: DiagnosisPart) -> Steps:
+    yield from _ended_early(found)
+    needs = sorted({need for each in found.undecided for need in each.needs})
+    if needs:
+        yield f"Record with {_and(needs)}."
+    elif found.complete:
+        yield (
+            "Record longer, and move the rig more: larger amplitudes, both directions, several speeds."
+            " `labhil new` writes such an experiment."
+        )
+
+
+def _names(effects: Iterable[MissingEffect]) -> str:
+    return _and([keyed(item.term, item.joint) for item in effects])
+
+
+def _and(names: list[str]) -> str:
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+_STEPS = {
+    "missing_physics": _of_missing_physics,
+    "parameter_change": _of_parameter_change,
+    "no_mismatch": _of_no_mismatch,
+    "unexplained_mismatch": _of_unexplained_mismatch,
+    "data_fault": _of_data_fault,
+    "not_decidable": _of_not_decidable,
+}

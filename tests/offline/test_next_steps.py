@@ -1,0 +1,84 @@
+"""What to do next: every verdict has an answer, and every command in one exists."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+import labhil as lh
+from labhil.analysis.diagnosis_words import UNNAMED
+from labhil.analysis.schema.diagnosis import DiagnosisPart, Rival, Verdict
+from labhil.identify.extended import NAME
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "diagnosis.json"
+
+
+@pytest.fixture(scope="module")
+def example() -> DiagnosisPart:
+    return DiagnosisPart.model_validate_json(EXAMPLE.read_text(encoding="utf-8"))
+
+
+def commands(steps: tuple[str, ...]) -> list[str]:
+    return re.findall(r"`(labhil [^`]+)`", " ".join(steps))
+
+
+@pytest.mark.parametrize("verdict", get_args(Verdict))
+def test_every_verdict_has_steps_whose_commands_exist(labhil, example, verdict):
+    steps = example.model_copy(update={"verdict": verdict}).next_steps
+    assert steps
+    assert all(step.endswith((".", "?")) for step in steps)
+    for line in commands(steps):
+        _, command, *rest = line.split()
+        known = labhil(command, "--help")
+        assert known.status == 0, line
+        assert all(option in known.out for option in rest if option.startswith("--")), line
+
+
+def test_what_was_judged_on_a_test_recording_is_not_to_be_judged_again(example):
+    assert example.improvement.data == "test"
+    assert any("Hold the next recording" in step for step in example.next_steps)
+    held_out = example.improvement.model_copy(update={"data": "heldout"})
+    steps = example.model_copy(update={"improvement": held_out}).next_steps
+    assert any("a recording of its own" in step for step in steps)
+
+
+def test_rivals_come_first_and_a_curve_has_no_law(example):
+    rival = Rival(
+        term="backlash", instead_of="dead_zone", probability=0.3, delta_bic=1.0, distinguishable=False,
+        experiment="excite with small reversals",
+    )  # fmt: skip
+    curve = example.missing[0].model_copy(update={"term": UNNAMED})
+    found = example.model_copy(update={"rivals": (rival,), "missing": (*example.missing, curve)})
+    first, second, third, *_ = found.next_steps
+    assert first.startswith("To tell backlash from dead_zone, excite with small reversals, record that")
+    assert UNNAMED not in second
+    assert "add-a-law" in third
+    assert UNNAMED == NAME
+
+
+def test_a_search_that_was_ended_early_is_to_be_finished_first(example):
+    found = example.model_copy(update={"complete": False})
+    assert "ended early" in found.next_steps[0]
+
+
+def test_they_are_printed_and_on_the_page(example, tmp_path):
+    result = lh.load(EXAMPLE)
+    assert result.next_steps == example.next_steps
+    assert "What to do next" in str(result)
+    page = result.report(tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "What to do next" in page
+    assert "<code>labhil patch</code>" in page
+
+
+def test_what_has_no_size_is_not_put_into_a_simulation(example):
+    first, *rest = example.missing
+    unknown = [row.model_copy(update={"identifiable": False}) for row in first.parameters]
+    found = example.model_copy(
+        update={"missing": (first.model_copy(update={"parameters": tuple(unknown)}), *rest)}
+    )
+    put, known, *_ = found.next_steps
+    assert first.term not in put
+    assert known.startswith(f"Of {first.term} these data know the kind")
