@@ -57,6 +57,12 @@ SMALLEST = 1e-6
 TERMS = ("viscous_friction", "coulomb_friction", "constant_force")
 """What nearly every rig has, and what delays its answers."""
 
+MOST_STEPS, BRIEFLY = 60, 20
+"""Steps of least squares of a fit that is thorough, and of one that only says whether to be.
+
+With the right stamps a model comes to the noise in a dozen; what creeps on after that does so under any.
+"""
+
 PLAY = ("backlash", "dead_zone")
 """What moves the answers to a reversal, so that an offset and another stamp may stand in for it."""
 
@@ -218,10 +224,11 @@ def _fits(
     model: Model, records: Iterable[Record], *, thorough: bool, more: Sequence[str] = ()
 ) -> list[Fitted]:
     terms = [term for term in (*TERMS, *more) if term in model.terms]
-    length = IN_HORIZONS * model.horizon
+    length, steps = IN_HORIZONS * model.horizon, MOST_STEPS if thorough else BRIEFLY
     try:
         return [
-            fit_terms(model, r, terms, length, noise_of(r), new_terms=(), thorough=thorough) for r in records
+            fit_terms(model, r, terms, length, noise_of(r), new_terms=(), thorough=thorough, iterations=steps)
+            for r in records
         ]
     except (UsageError, np.linalg.LinAlgError):
         return []

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-from rich.console import Group, RenderableType
+from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
 from rich.text import Text
 
 from labhil.analysis.schema import (
@@ -26,6 +27,9 @@ from labhil.report.parameter_columns import COLUMNS
 from labhil.tui.words import PlainTable
 
 Colours = dict[str, str]
+
+WIDEST = 1000
+"""Columns in which any table has room."""
 
 ENDED_EARLY = "▲ It was ended early: this is the best so far."
 
@@ -76,7 +80,7 @@ def fit_text(fit: FitPart, colours: Colours) -> RenderableType:
     parts: list[RenderableType] = [
         head,
         _title("Parameters", colours),
-        parameter_table(fit.judged_rows, colours),
+        ParameterTable(fit.judged_rows, colours),
     ]
     if fit.identifiability.rank < fit.identifiability.of:
         parts.append(_identifiability(fit, colours))
@@ -88,19 +92,49 @@ def _title(text: str, colours: Colours) -> Text:
     return Text(f"\n{text}", style=f"bold {colours['primary']}")
 
 
-def parameter_table(rows: Sequence[Parameter], colours: Colours) -> PlainTable:
-    """One row per parameter; a word says what cannot be relied on."""
-    table = PlainTable(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style=colours["muted"])
-    # where room is short the name is what is cut: the one column that may be wrapped is made narrow first
-    table.add_column("parameter", overflow="ellipsis", min_width=20, max_width=38)
-    columns = [column.screen for column in COLUMNS if column.screen is not None]
-    for place, (name, _) in enumerate(columns):
-        table.add_column(name, justify="left" if place else "right", no_wrap=True)
-    table.add_column("", no_wrap=True)
-    for row in rows:
-        cells = [Text(cell(row), style="" if place else "bold") for place, (_, cell) in enumerate(columns)]
-        table.add_row(row.key, *cells, _remark(row, colours))
-    return table
+@dataclass(frozen=True, slots=True)
+class ParameterTable:
+    """One row per parameter; a word says what cannot be relied on.
+
+    Where room is short, names and remarks take lines of their own rather than being cut.
+    """
+
+    rows: Sequence[Parameter]
+    colours: Colours
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Draw it in the room that there is: in as few lines as that allows."""
+        wide = options.update(max_width=WIDEST)
+        for name, cells in (("", self._beside), ("", self._below), (".\n  ", self._below)):
+            table = self._table(name, cells)
+            if console.measure(table, options=wide).maximum <= options.max_width:
+                break
+        yield table
+
+    def _table(self, dot: str, layout: Callable[[Parameter, str], Sequence[Text]]) -> PlainTable:
+        """With ``dot`` in the place of the one in a name, where there is any."""
+        columns = [column.screen for column in COLUMNS if column.screen is not None]
+        style = self.colours["muted"]
+        table = PlainTable(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style=style)
+        table.add_column("parameter", no_wrap=True)
+        for place, (name, _) in enumerate(columns):
+            table.add_column(name, justify="left" if place else "right", no_wrap=True)
+        for row in self.rows:
+            first, *last = layout(row, row.key.replace(".", dot, 1) if dot else row.key)
+            cells = [
+                Text(cell(row), style="" if place else "bold") for place, (_, cell) in enumerate(columns)
+            ]
+            table.add_row(first, *cells, *last)
+        return table
+
+    def _beside(self, row: Parameter, name: str) -> Sequence[Text]:
+        """A name, and a remark behind all figures."""
+        return Text(name), _remark(row, self.colours)
+
+    def _below(self, row: Parameter, name: str) -> Sequence[Text]:
+        """A name with a remark below."""
+        remark = _remark(row, self.colours)
+        return (Text.assemble(name, "\n  ", remark) if remark.plain else Text(name),)
 
 
 def _remark(row: Parameter, colours: Colours) -> Text:
@@ -197,7 +231,7 @@ def diagnosis_text(found: DiagnosisPart, colours: Colours) -> RenderableType:
         parts += [_title("What has changed", colours), _changed(found)]
     if found.improvement is not None:
         parts += [_title("How much better", colours), _improvement(found.improvement, colours)]
-    parts += [_title("Final model", colours), parameter_table(found.judged_rows, colours)]
+    parts += [_title("Final model", colours), ParameterTable(found.judged_rows, colours)]
     parts += [Text(line) for line in [disagreement(found.scale_factor)] if line]
     return Group(*parts, *_rest(found, colours), *_next_steps(found, colours))
 
