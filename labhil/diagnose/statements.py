@@ -300,8 +300,7 @@ def _largest_hidden(absent: AbsentEffects) -> Iterator[tuple[AbsentEffect, float
     for effect in absent.effects:
         column = effect.response - basis @ (basis.T @ effect.response)
         power = float(column @ column)
-        if power <= 1e-12:
-            yield effect, np.inf
+        if power <= 1e-12:  # a little of it does nothing: a threshold that is not reached
             continue
         value = -float(column @ residuals) / power
         left = column * (residuals + value * column)
@@ -319,7 +318,7 @@ def _goes_unseen(absent: AbsentEffects, effect: AbsentEffect, size: float) -> bo
     parameter, problem = effect.parameter, absent.fitted.problem
     if _sizes_at_bound(absent.fitted):
         return True
-    if not np.isfinite(size) or abs(size) > max(abs(parameter.lower), abs(parameter.upper)):
+    if size > max(abs(parameter.lower), abs(parameter.upper)):
         return True
     outputs = problem.record.outputs[problem.windows.rows] / problem.sigma
     motion = np.linalg.norm(outputs - outputs.mean(axis=0))

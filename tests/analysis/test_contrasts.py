@@ -48,6 +48,7 @@ def test_where_dry_friction_is_missing_slow_and_fast_windows_disagree(model, acq
     assert all(factor > 2.0 for factor, _ in found)
 
 
+@pytest.mark.extended
 def test_the_size_of_a_contrast_is_that_of_the_normalised_difference() -> None:
     random = np.random.default_rng(5)
     root = random.standard_normal((3, 3))

@@ -197,6 +197,7 @@ def test_the_catalogue_prints_as_a_table_and_knows_close_names():
         terms["backlsh"]
 
 
+@pytest.mark.extended
 def test_progress_is_told_to_a_function_and_work_ends_early_with_the_best_so_far():
     told: list[str] = []
     fit = lh.fit(IDENTIFY, span=(0, 12), estimator="nlse", terms="viscous_friction", progress=told.append)

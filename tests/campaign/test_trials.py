@@ -164,6 +164,7 @@ def test_a_trial_is_the_same_bytes_however_long_a_loaded_machine_takes(tmp_path,
     assert late.trials[0].recordings == at_once.trials[0].recordings
 
 
+@pytest.mark.extended
 def test_making_goes_on_where_it_was_interrupted(tmp_path):
     out, answers = tmp_path / "a", tmp_path / "b"
     order = Order("axis", 1, "0", out, answers, 4, resume=True)
@@ -513,6 +514,7 @@ def test_an_oracle_learns_from_whole_recordings():
     assert refit.likelihood > oracle.log_likelihood(truth) - 20.0
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("seed", [*(pytest.param(seed, marks=pytest.mark.extended) for seed in (0, 3)), 4, 8])
 def test_an_oracle_finds_the_right_minimum_of_a_ball_that_sticks(seed):
     random = np.random.default_rng(seed)
@@ -538,6 +540,7 @@ def test_a_rig_stands_at_the_centre_of_its_excitation_before_it_is_recorded():
     assert np.sqrt(np.mean(found.residuals**2)) < 2.0
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(("rig", "period"), [("solenoid", 1e-3), ("ball_beam", 0.01)])
 def test_recordings_are_as_long_as_they_are_ordered(tmp_path, rig, period):
     make_trials(Order(rig, 1, "0", tmp_path / "set", tmp_path / "answers", seed=5, seconds=6.0), 1, str)

@@ -30,6 +30,9 @@ TERMS = {
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 
 
+pytestmark = [pytest.mark.extended, pytest.mark.timeout(600)]
+
+
 @pytest.fixture(scope="module")
 def fits(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Fit the same recording with more and more terms, and once with a part of it held out."""

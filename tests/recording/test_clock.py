@@ -70,6 +70,7 @@ def test_time_is_the_devices_and_its_drift_is_found_whatever_the_wire_adds(drift
     assert np.ptp(common - world) < 0.25 * jitter + 1e-5
 
 
+@pytest.mark.extended
 @settings(deadline=None, max_examples=25)
 @given(
     drift=st.floats(-200e-6, 200e-6),

@@ -35,6 +35,7 @@ CODE = (
 )
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     "what", [pytest.param(name, marks=() if name in OFTEN else pytest.mark.extended) for name in WRITES]
 )

@@ -130,6 +130,7 @@ def test_notes_may_change_within_a_campaign_and_steps_may_not(tmp_path: Path) ->
     assert fingerprint(first, points_of(first)) != digests[0]
 
 
+@pytest.mark.extended
 @pytest.mark.timeout(240)
 @pytest.mark.parametrize("kills", [1, pytest.param(2, marks=pytest.mark.extended)])
 def test_a_campaign_killed_at_any_moment_goes_on_without_loss(tmp_path: Path, kills: int) -> None:

@@ -29,6 +29,7 @@ def new(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     return done
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("kind", starters())
 @pytest.mark.parametrize("address", ["twin", "192.168.1.9"])
 def test_what_is_written_can_be_planned(tmp_path: Path, kind: str, address: str) -> None:

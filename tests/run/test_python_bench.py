@@ -12,6 +12,7 @@ from labhil.errors import CommandRefusedError, LimitTrippedError, UnknownNameErr
 from labhil.public import public
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("name", ["Bench", "Experiment", "connect", "run"])
 def test_the_example_is_true(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -30,6 +31,7 @@ def limited(tmp_path):
     return rig
 
 
+@pytest.mark.extended
 def test_commands_beyond_the_limits_are_refused_and_misspelt_ones_are_named(limited):
     with lh.connect("dc_motor", "twin", rig=limited) as bench:
         assert bench.command(voltage=1.0) == {"voltage": 1.0}
@@ -41,6 +43,7 @@ def test_commands_beyond_the_limits_are_refused_and_misspelt_ones_are_named(limi
             bench.command(voltage="1")
 
 
+@pytest.mark.extended
 def test_a_device_that_left_its_limits_is_not_commanded_before_it_is_rearmed(tmp_path):
     rig = tmp_path / "motor.toml"
     rig.write_text('[rig]\nkind = "dc_motor"\n[limits]\nspeed = { max = 5 }\n')

@@ -216,6 +216,7 @@ def test_wrong_use_says_what_is_expected(recording: Recording) -> None:
         Replay(replace(recording, streams=()))
 
 
+@pytest.mark.extended
 def test_the_command_plays_and_ends_with_its_recording_or_with_ctrl_c(tmp_path: Path) -> None:
     command = [sys.executable, "-P", "-m", "labhil", "replay", str(FILE), "--no-screen"]
     end = read_recording(FILE).duration

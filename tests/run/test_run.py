@@ -378,6 +378,7 @@ def test_two_devices_run_together_into_one_recording(tmp_path: Path) -> None:
     assert any(0.0 < progress.elapsed < progress.duration == 4.0 for progress in seen)
 
 
+@pytest.mark.extended
 def test_one_failing_device_does_not_keep_the_other_from_stopping(tmp_path: Path) -> None:
     result = run_here(tmp_path, two_devices(", set = { fault_reset_at = 1.0 }"))
     assert result.exit_status == 2

@@ -351,6 +351,7 @@ def test_a_run_waits_at_an_interlock_and_does_not_start_while_it_stands(hold: Ca
 # a device that is lost
 
 
+@pytest.mark.extended
 def test_a_device_that_boots_again_is_taken_back_where_that_is_allowed(hold: Callable[..., Held]) -> None:
     run = hold(
         device("bench", more="reconnect = true", twin=", set = { fault_reset_at = 2.0 }"), duration=5.0

@@ -78,6 +78,7 @@ def no_stop_stands() -> Iterator[None]:
     latch.release()
 
 
+@pytest.mark.extended
 def test_a_step_begins_when_its_condition_holds_and_lasts_as_long_as_it_says(tmp_path: Path) -> None:
     result, recording = run(tmp_path, text(when=STANDSTILL))
     assert result.error is None, result.reason
@@ -322,6 +323,7 @@ def test_a_hook_is_called_before_and_after_with_what_the_run_knows(tmp_path: Pat
     assert (before["error"], after["error"]) == (None, None)
 
 
+@pytest.mark.extended
 def test_a_hook_that_raises_before_the_steps_ends_the_run_before_anything_moves(tmp_path: Path) -> None:
     (tmp_path / "lab.py").write_text(HOOKS, encoding="utf-8")
     result, recording = run(tmp_path, text(hook='hook = "lab.py:fail_before"'))
@@ -334,6 +336,7 @@ def test_a_hook_that_raises_before_the_steps_ends_the_run_before_anything_moves(
     assert (after["moment"], after["error"]) == ("after", result.reason), "it can switch off what it has on"
 
 
+@pytest.mark.extended
 def test_a_hook_that_raises_after_the_steps_fails_the_run_and_keeps_the_recording(tmp_path: Path) -> None:
     (tmp_path / "lab.py").write_text(HOOKS, encoding="utf-8")
     result, recording = run(tmp_path, text(hook='hook = "lab.py:fail_after"'))
@@ -343,6 +346,7 @@ def test_a_hook_that_raises_after_the_steps_fails_the_run_and_keeps_the_recordin
     assert messages(recording, "failed") == [result.reason]
 
 
+@pytest.mark.extended
 def test_a_run_can_be_aborted_while_its_hook_is_at_work(tmp_path: Path) -> None:
     (tmp_path / "lab.py").write_text(HOOKS, encoding="utf-8")
     experiment = parse_experiment(text(hook='hook = "lab.py:sleep"'), tmp_path / "patient.toml")

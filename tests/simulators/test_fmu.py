@@ -52,6 +52,7 @@ def test_an_fmu_tells_what_it_is(tmp_path: Path, version: int, kinds: str) -> No
     assert lh.model(path).kind == "rod"
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     ("version", "kinds"),
     [pytest.param(*each, marks=pytest.mark.extended if each == (2, "cs") else ()) for each in EVERY],

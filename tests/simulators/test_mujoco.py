@@ -149,6 +149,7 @@ def test_a_rig_file_says_what_is_wrong_with_its_model(tmp_path: Path, text: str,
         lh.model(rig)
 
 
+@pytest.mark.extended
 def test_other_names_of_the_signals_are_put_together_in_a_proposal(tmp_path: Path) -> None:
     run = recorded(bench(tmp_path), seed=1, seconds=4.0)
     with pytest.raises(RecordingError) as refused:

@@ -112,6 +112,7 @@ def test_the_residual_has_a_gap_between_stretches_and_lies_at_its_time() -> None
     assert t[200] == pytest.approx(-5.31)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("size", [(80, 24), (160, 50)])
 def test_m_chooses_a_model_shows_it_and_takes_it_away(
     folder: Path, monkeypatch: pytest.MonkeyPatch, size: tuple[int, int]

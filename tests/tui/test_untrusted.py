@@ -114,6 +114,7 @@ def test_signals_may_come_go_and_come_again_under_the_live_plots(folder: Path) -
     asyncio.run(drive())
 
 
+@pytest.mark.extended
 def test_a_frozen_picture_holds_when_its_device_goes(folder: Path) -> None:
     async def drive() -> None:
         lab = ComingAndGoing()

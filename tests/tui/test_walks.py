@@ -93,6 +93,7 @@ def make_walks(folder: Path, seeds: range) -> None:
             raise
 
 
+@pytest.mark.extended
 def test_a_few_walks_do_no_harm(folder: Path) -> None:
     make_walks(folder, range(FIRST, FIRST + 3))
 
