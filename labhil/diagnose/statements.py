@@ -46,7 +46,7 @@ def missing(
     return Missing(
         term=term.name,
         joint=term.joint,
-        statement=f"The model leaves out {term.statement}{at}: {sizes}.{_together(found.final, rows)}",
+        statement=f"The model leaves out {term.statement}{at}: {sizes}.{_how_known(found.final, rows)}",
         equation=term.equation,
         probability=claim_probability(step.evidence, excess, claims) * among,
         parameters=rows,
@@ -56,6 +56,14 @@ def missing(
 
 def _unit(row: Estimate) -> str:
     return "" if row.unit == "1" else row.unit
+
+
+def _how_known(fitted: Fitted, rows: Sequence[Estimate]) -> str:
+    """What to know of sizes that are not known each by itself."""
+    together = _together(fitted, rows)
+    if together or any(row.identifiable for row in rows):
+        return together
+    return " These data show that it is there, not how large it is."
 
 
 def _together(fitted: Fitted, rows: Sequence[Estimate]) -> str:

@@ -59,8 +59,8 @@ def _fitted(fit: FitPart) -> str:
     """How white the residuals are, and how the fit was made."""
     settled = "." if fit.converged else "; stopped before it had settled."
     return (
-        f"Residuals: white with p = {figure(fit.residuals.ljung_box_p, '.2g')} (Ljung-Box); uncorrelated "
-        f"with the input with p = {figure(fit.residuals.input_crosscorrelation_p, '.2g')}.\n"
+        f"Residuals: white with p {small(fit.residuals.ljung_box_p)} (Ljung-Box); uncorrelated "
+        f"with the input with p {small(fit.residuals.input_crosscorrelation_p)}.\n"
         f"{_fitted_on(fit)}, {fit.evaluations} simulations; RMSE there {_left(fit)}{settled}"
     )
 
@@ -269,7 +269,7 @@ def _found(diagnosis: DiagnosisPart) -> Iterator[RenderableType]:
         yield Text(
             f"  {item.equation};  ΔBIC {figure(item.evidence.delta_bic, '.0f')}, "
             f"held-out gain {figure(item.evidence.heldout_loglik_gain, '.1f')} nats "
-            f"(p = {figure(item.evidence.p_value, '.2g')})"
+            f"(p {small(item.evidence.p_value)})"
         )
     for rival in diagnosis.rivals:
         yield Text(
@@ -282,7 +282,7 @@ def _found(diagnosis: DiagnosisPart) -> Iterator[RenderableType]:
         yield Text(
             f"• {keyed(change.name, change.joint, change.recording)} changed from "
             f"{figure(change.before, '.4g')} to {figure(change.after, '.4g')} {change.unit} "
-            f"(p = {figure(change.p_value, '.2g')})"
+            f"(p {small(change.p_value)})"
         )
 
 
