@@ -29,7 +29,7 @@ from labhil.campaign.trials.folder import recording
 from labhil.campaign.trials.judge import SURE_GAIN
 from labhil.campaign.trials.make import Order, make_trials
 from labhil.diagnose.begin import data_of, fit_baseline
-from labhil.diagnose.search_result import Found
+from labhil.diagnose.search_result import SearchResult
 from labhil.diagnose.structures import disturbance, responses, search, stages
 from labhil.diagnose.structures import enumerate as beam
 from labhil.identify.problem import Problem
@@ -61,7 +61,7 @@ VARIANTS: dict[str, tuple[search.Options, tuple[Part, ...]]] = {
     ),
     "rounding as independent noise": (
         search.Options(),
-        ((Problem, "telling", property(lambda problem: np.ones(len(problem.owner)))),),
+        ((Problem, "effective_fraction", property(lambda problem: np.ones(len(problem.owner)))),),
     ),
     "only where a disturbance is possible": (
         search.Options(),
@@ -115,7 +115,7 @@ def without(parts: tuple[Part, ...]) -> Iterator[None]:
         yield
 
 
-def searched(folder: Path, name: str, baseline: tuple[str, ...], options: search.Options) -> Found:
+def searched(folder: Path, name: str, baseline: tuple[str, ...], options: search.Options) -> SearchResult:
     """What the search finds in one trial."""
     material = load_dataset(recording(folder, name, "search"), test_path=recording(folder, name, "test"))
     data = data_of(material.model, material.learn, material.judge)
@@ -123,7 +123,7 @@ def searched(folder: Path, name: str, baseline: tuple[str, ...], options: search
     return stages.search_structures(data, base, lambda text: None, options)
 
 
-def is_right(found: Found, answer: Answer) -> bool:
+def is_right(found: SearchResult, answer: Answer) -> bool:
     """Whether all that has to be found is named and nothing else is."""
     named = {step.terms[0] for step in found.missing}
     listed = {effect.key for effect in answer.effects if effect.catalogue}
