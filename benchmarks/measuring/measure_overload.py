@@ -26,7 +26,8 @@ from typing import Any
 
 from kill_trials import HERE, published_in
 from labhil.errors import LabhilError
-from labhil.recording.reader import Recording, read_recording
+from labhil.recording.reader import read_recording
+from labhil.recording.recording import Recording
 from labhil_benchmarks.left_files import examine
 from measured import tell
 from victims import process, wait_until

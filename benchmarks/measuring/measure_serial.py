@@ -31,7 +31,8 @@ from labhil.codec import stamps_of
 from labhil.experiment.experiment import parse_experiment
 from labhil.experiment.result import RunResult
 from labhil.experiment.run import run_experiment
-from labhil.recording.reader import Recording, StreamData, read_recording
+from labhil.recording.reader import read_recording
+from labhil.recording.recording import Recording, StreamData
 from labhil.recording.writer import RecordingWriter
 from labhil.service import recorder
 from labhil.signals import Batch, FloatArray

@@ -41,7 +41,8 @@ from labhil.bus.ask import ask
 from labhil.bus.keys import command_key, setpoint_key
 from labhil.bus.publish import publish_command
 from labhil.bus.session import Bus, open_bus
-from labhil.recording.reader import StreamData, read_recording
+from labhil.recording.reader import read_recording
+from labhil.recording.recording import StreamData
 from labhil.service.messages import Setpoint
 from measured import tell
 

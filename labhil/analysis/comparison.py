@@ -23,7 +23,7 @@ from labhil.identify.adequacy import adequacy_of
 from labhil.identify.score import ChannelScore, Score, score, scored_horizon
 from labhil.identify.windows import noise_of
 from labhil.physics.model import Metric, Record
-from labhil.recording.reader import Recording
+from labhil.recording.recording import Recording
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
 

@@ -27,7 +27,8 @@ from labhil.physics.model import Model, Record, joined
 from labhil.physics.rigs import model_for, record_of
 from labhil.physics.several import several
 from labhil.physics.solenoid import SolenoidModel
-from labhil.recording.reader import Recording, read_recordings
+from labhil.recording.reader import read_recordings
+from labhil.recording.recording import Recording
 from labhil.recording.rig_attachments import rig_name
 from labhil.rig import RigFile, load_rig
 from labhil.simulators.model import SimulatorModel

@@ -5,7 +5,7 @@ from __future__ import annotations
 from labhil.errors import LabhilError
 from labhil.identify.plausibility import doubts_of
 from labhil.physics.rigs import record_of
-from labhil.recording.reader import Recording
+from labhil.recording.recording import Recording
 
 
 def doubts_in(recording: Recording) -> list[str]:

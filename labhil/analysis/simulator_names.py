@@ -7,7 +7,7 @@ from difflib import SequenceMatcher
 
 from labhil.errors import RecordingError
 from labhil.kinds import RigKind
-from labhil.recording.reader import Recording
+from labhil.recording.recording import Recording
 from labhil.rig import RigFile
 from labhil.signals import Direction
 from labhil.simulators.mjcf_file import Names, load_model, names_of

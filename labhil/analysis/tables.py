@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from labhil.analysis.import_check import checked
-from labhil.recording.reader import Recording, read_recording
+from labhil.recording.reader import read_recording
+from labhil.recording.recording import Recording
 from labhil.recording.tables import ImportedTable, describe_import, import_table, write_import
 from labhil.rig import RigFile
 from labhil.signals import FloatArray, Stream

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from labhil.api.fit import Fit
     from labhil.api.model import Model
     from labhil.api.recording import Recording
-    from labhil.recording.reader import Recording as FileRecording
+    from labhil.recording.recording import Recording as FileRecording
 
 PathLike = str | os.PathLike[str]
 Progress = bool | Callable[[str], None] | None

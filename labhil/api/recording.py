@@ -12,8 +12,8 @@ from labhil.api.model import Model
 from labhil.api.render import axes_of, data_frame, data_set
 from labhil.errors import RecordingError, UsageError, suggestion
 from labhil.extras import require
-from labhil.recording.reader import Event, StreamData
-from labhil.recording.reader import Recording as FileRecording
+from labhil.recording.recording import Event, StreamData
+from labhil.recording.recording import Recording as FileRecording
 from labhil.rig import RigFile
 from labhil.signals import FloatArray, Signal
 from labhil.whole import whole

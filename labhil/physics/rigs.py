@@ -13,7 +13,7 @@ from labhil.errors import RecordingError, UnknownNameError, UsageError
 from labhil.kinds import RigKind
 from labhil.physics.facts import Fact
 from labhil.physics.model import Begin, Metric, Model, Record, Windows, index_of, start_values, starts_of
-from labhil.recording.reader import Recording
+from labhil.recording.recording import Recording
 from labhil.rig import RigFile, default_rig
 from labhil.signals import FloatArray, Stream
 from labhil.terminal import printable_name

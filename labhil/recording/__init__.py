@@ -1,7 +1,8 @@
 """MCAP in, numpy out; and the tables of others in, ours out."""
 
 from labhil.recording.export import export, export_csv
-from labhil.recording.reader import Event, Recording, StreamData, read_recording
+from labhil.recording.reader import read_recording
+from labhil.recording.recording import Event, Recording, StreamData
 from labhil.recording.tables import ImportedTable, describe_import, import_table, write_import
 from labhil.recording.writer import RecordingWriter
 

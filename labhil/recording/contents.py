@@ -11,7 +11,7 @@ import numpy as np
 from labhil.documents import parse_json
 from labhil.kinds import RigKind, kind_named, kind_names
 from labhil.recording.mapped import ROWS, let_go_of
-from labhil.recording.reader import Event, Recording, StreamData
+from labhil.recording.recording import Event, Recording, StreamData
 from labhil.recording.runs import UNIX_TIMES
 
 ROUTINE = ("state", "status")

@@ -13,7 +13,7 @@ from labhil.recording.formats.matlab import write_mat
 from labhil.recording.formats.parquet import write_parquet
 from labhil.recording.formats.workbook import write_workbook
 from labhil.recording.mapped import ROWS, let_go_of
-from labhil.recording.reader import Recording, StreamData
+from labhil.recording.recording import Recording, StreamData
 from labhil.signals import FloatArray, Stream
 from labhil.whole import unwritten, whole
 

@@ -11,7 +11,8 @@ from typing import Any
 from labhil.documents import LARGEST, parse_json
 from labhil.errors import LabhilError, UsageError
 from labhil.recording.contents import FREE_TEXT, how_it_ended, started_at, tags_of
-from labhil.recording.reader import Recording, read_recording
+from labhil.recording.reader import read_recording
+from labhil.recording.recording import Recording
 
 RESULTS = {
     "labhil.fit/1": "fit",

@@ -17,7 +17,7 @@ from labhil.recording.bad_rows import WHY, bad_rows, finite_rows
 from labhil.recording.channel_keys import held_as_stated, with_channel_keys
 from labhil.recording.columns import read_columns
 from labhil.recording.formats.time_text import TimeKind
-from labhil.recording.reader import IMPORT, TIME_COLUMN
+from labhil.recording.recording import IMPORT, TIME_COLUMN
 from labhil.recording.rig_attachments import rig_attachments
 from labhil.recording.sheet import Mapped, Sheet
 from labhil.recording.slow_channels import fill_slow

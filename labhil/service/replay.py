@@ -24,7 +24,7 @@ from labhil.bus.register import registered
 from labhil.bus.session import open_bus
 from labhil.errors import BusError, CommandRefusedError, OptionError, RecordingError
 from labhil.host_clock import session_clock, unix_ns
-from labhil.recording.reader import Event, Recording, StreamData
+from labhil.recording.recording import Event, Recording, StreamData
 from labhil.recording.stamps import HOST_CLOCK
 from labhil.signals import Batch, FloatArray
 

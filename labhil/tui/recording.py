@@ -15,7 +15,8 @@ from textual.screen import Screen
 from textual.widgets import Footer, Static
 
 from labhil.errors import LabhilError
-from labhil.recording.reader import Recording, StreamData, read_recording
+from labhil.recording.reader import read_recording
+from labhil.recording.recording import Recording, StreamData
 from labhil.tui.curve import PENS, Curve
 from labhil.tui.plot import Chart
 from labhil.tui.recording_library import how_it_ended

@@ -12,7 +12,8 @@ from pathlib import Path
 
 from labhil.documents import LARGEST, parse_json, parse_toml, read_document
 from labhil.errors import LabhilError
-from labhil.recording.reader import Recording, read_recording
+from labhil.recording.reader import read_recording
+from labhil.recording.recording import Recording
 
 LARGEST_READ = 256 << 20
 """Recordings of more bytes are listed by their size alone: reading them takes seconds."""

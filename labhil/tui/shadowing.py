@@ -23,7 +23,8 @@ from labhil.api.saved import load
 from labhil.bus.session import Bus, open_bus
 from labhil.campaign.studies.process import on_further_lines, say, told_first
 from labhil.errors import BusError, LabhilError, ModelFileError
-from labhil.recording.reader import StreamData, read_recording
+from labhil.recording.reader import read_recording
+from labhil.recording.recording import StreamData
 from labhil.rig import RigFile, default_rig
 from labhil.signals import FloatArray, IntArray, Stream
 from labhil.tui.ring import envelope

@@ -16,7 +16,8 @@ from labhil.analysis.agreement import Agreement, leaves
 from labhil.analysis.dataset import rig_of
 from labhil.analysis.shadow import Shadow, Stretch, validated_bands
 from labhil.plants.ball_beam import BallBeamPlant
-from labhil.recording.reader import StreamData, read_recording
+from labhil.recording.reader import read_recording
+from labhil.recording.recording import StreamData
 from labhil.signals import FloatArray
 
 ROOT = Path(__file__).parents[2]

@@ -16,7 +16,8 @@ from labhil.errors import CommandRefusedError, UsageError
 from labhil.experiment.control import TRANSITIONS, RunControl, RunState, mermaid
 from labhil.experiment.experiment import parse_experiment
 from labhil.experiment.run import Progress, RunResult, run_experiment
-from labhil.recording.reader import Recording, read_recording
+from labhil.recording.reader import read_recording
+from labhil.recording.recording import Recording
 from labhil.recording.writer import FLUSH_INTERVAL
 from labhil.service.messages import WATCHDOG
 

@@ -26,7 +26,8 @@ from labhil.bus.register import find_run, running
 from labhil.bus.session import Bus
 from labhil.codec import Codec, stream_from_json
 from labhil.errors import BusError, CommandRefusedError, OptionError, RecordingError, UsageError
-from labhil.recording.reader import Recording, read_recording
+from labhil.recording.reader import read_recording
+from labhil.recording.recording import Recording
 from labhil.service.emergency import press_everywhere, release_everywhere
 from labhil.service.replay import Replay
 from labhil.signals import Batch

@@ -24,7 +24,8 @@ from labhil.experiment.experiment import parse_experiment
 from labhil.experiment.run import Progress, run_experiment
 from labhil.kinds import kind_named
 from labhil.physics.rigs import record_of
-from labhil.recording.reader import Recording, read_recording
+from labhil.recording.reader import read_recording
+from labhil.recording.recording import Recording
 
 MARK = "LABHIL_TEST_RUN"
 PATIENCE = 30.0

@@ -25,7 +25,8 @@ from labhil.experiment.control import RunControl, RunState
 from labhil.experiment.experiment import TwinSection, parse_experiment
 from labhil.experiment.run import Progress, RunResult, run_experiment
 from labhil.experiment.twins import start_twin
-from labhil.recording.reader import Recording, read_recording
+from labhil.recording.reader import read_recording
+from labhil.recording.recording import Recording
 from labhil.rig import parse_rig
 from labhil.rig_sections import Interlock, Limit
 from labhil.service.emergency import press_everywhere, press_on, release_everywhere

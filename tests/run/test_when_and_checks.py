@@ -19,7 +19,8 @@ from labhil.experiment.plan import make_plan
 from labhil.experiment.run import Progress, RunControl, RunResult, run_experiment
 from labhil.experiment.step_clock import StepClock
 from labhil.plugins import load_driver
-from labhil.recording.reader import Recording, read_recording
+from labhil.recording.reader import read_recording
+from labhil.recording.recording import Recording
 from labhil.service.emergency import press_everywhere
 
 PATIENCE = 60.0

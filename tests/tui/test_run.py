@@ -18,7 +18,8 @@ from textual.widgets import DataTable
 
 from labhil.bus.latch import read_latch
 from labhil.bus.register import running
-from labhil.recording.reader import Recording, read_recording
+from labhil.recording.reader import read_recording
+from labhil.recording.recording import Recording
 from labhil.tui.app import LabApp
 from labhil.tui.dialogs import Confirm, Write
 from labhil.tui.lab import Session

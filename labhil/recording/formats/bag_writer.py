@@ -10,7 +10,7 @@ from typing import Any
 
 from labhil.errors import UsageError
 from labhil.extras import load_optional
-from labhil.recording.reader import StreamData
+from labhil.recording.recording import StreamData
 
 BAG_VERSION = 9
 PACKAGE = "labhil_msgs"

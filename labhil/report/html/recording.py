@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from labhil.recording.reader import Event, Recording, StreamData
+from labhil.recording.recording import Event, Recording, StreamData
 from labhil.report.html.element import Content, Markup, tag
 from labhil.report.html.model import warning
 from labhil.report.html.page import Page, Section, present, section

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from labhil.recording.reader import StreamData
+from labhil.recording.recording import StreamData
 from labhil.report.figure import figure_of, finish
 from labhil.report.html.element import Markup
 from labhil.report.html.picture import Album, label
