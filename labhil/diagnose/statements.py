@@ -11,6 +11,7 @@ from scipy import stats
 from labhil.diagnose import locate
 from labhil.diagnose.answer import Curve, Excluded, Missing, RivalTerm, Undecided
 from labhil.diagnose.claim_probability import claim_probability
+from labhil.diagnose.collapsed import NOISE
 from labhil.diagnose.conclude import MISNAMED
 from labhil.diagnose.discrepancy import AbsentEffect, AbsentEffects
 from labhil.diagnose.force_curve import ForceCurve
@@ -334,7 +335,12 @@ def _goes_unseen(absent: AbsentEffects, effect: AbsentEffect, size: float) -> bo
 
 
 def _sizes_at_bound(fitted: Fitted) -> list[str]:
-    """The rig's own sizes that a fit took to a bound."""
+    """The rig's own sizes that a fit took to a bound without coming to the noise there.
+
+    One that these data do not show, as a motor's inductance, may be there and harm nothing.
+    """
     problem = fitted.problem
+    if fitted.noise < NOISE:
+        return []
     sizes = [problem.model.parameters[i] for j, i in enumerate(problem.free) if problem.is_size(j)]
     return [size.key for size in sizes if size.at_bound(fitted.estimates[size.key])]
