@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from labhil.analysis.schema import ComparedModel, ComparisonPart
-from labhil.physics.terms import keyed
+from labhil.physics.terms import enumerated, keyed
 
 
 def statement(found: ComparisonPart) -> str:
@@ -27,7 +27,7 @@ def statement(found: ComparisonPart) -> str:
     differ = max((model.times_best or 1.0) - 1.0 for model in equals)
     nearest = min(equals, key=lambda model: model.p_value or 0.0)
     return (
-        f"{_listed(names)} explain the {what} alike, {_how_well(best)}: their errors differ by "
+        f"{enumerated(names)} explain the {what} alike, {_how_well(best)}: their errors differ by "
         f"{100 * differ:.2g} %, no more than noise ({_p(nearest)}){rest}."
     )
 
@@ -53,10 +53,6 @@ def _times(model: ComparedModel) -> str:
 def _p(model: ComparedModel) -> str:
     value = model.p_value or 0.0
     return "p < 1e-99" if value < 1e-99 else f"p = {value:.2g}"
-
-
-def _listed(names: list[str]) -> str:
-    return f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def next_steps(found: ComparisonPart) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
-from labhil.physics.terms import keyed, listed
+from labhil.physics.terms import enumerated, keyed, listed
 
 if TYPE_CHECKING:
     from labhil.analysis.schema import DiagnosisPart, MissingEffect
@@ -86,8 +86,8 @@ def _of_parameter_change(found: DiagnosisPart) -> Steps:
     yield from _ended_early(found)
     changed = [keyed(each.name, each.joint, each.recording) for each in found.changed]
     yield (
-        f"Take the new value of {_and(changed)} into your simulation, or find out what changed at the rig."
-        " `labhil patch` writes it into a MuJoCo or URDF file."
+        f"Take the new value of {enumerated(changed)} into your simulation, or find out what changed at the"
+        " rig. `labhil patch` writes it into a MuJoCo or URDF file."
     )
     yield from _judged_on(found)
 
@@ -123,7 +123,7 @@ def _of_not_decidable(found: DiagnosisPart) -> Steps:
     yield from _ended_early(found)
     needs = sorted({need for each in found.undecided for need in each.needs})
     if needs:
-        yield f"Record with {_and(needs)}."
+        yield f"Record with {enumerated(needs)}."
     elif found.complete:
         yield (
             "Record longer, and move the rig more: larger amplitudes, both directions, several speeds."
@@ -132,11 +132,7 @@ def _of_not_decidable(found: DiagnosisPart) -> Steps:
 
 
 def _names(effects: Iterable[MissingEffect]) -> str:
-    return _and([keyed(item.term, item.joint) for item in effects])
-
-
-def _and(names: list[str]) -> str:
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+    return enumerated([keyed(item.term, item.joint) for item in effects])
 
 
 _STEPS = {

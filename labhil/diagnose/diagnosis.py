@@ -93,6 +93,7 @@ def _answer(
     again = on_held_out_of(end)
     accept()  # stating what was found takes no time
     absent = absent_effects(found.final)
+    excluded, unseen = statements.exclusions(absent, found.possible)
     final, scale = final_table(end, accepted, absent, again)
     changed = _changes(final, reference, accepted)
     verdict = _verdict(end, changed)
@@ -117,10 +118,10 @@ def _answer(
         undecided=(
             *statements.too_little(found),
             *statements.as_likely_as_not(found),
-            *statements.unseen(absent, found.possible),
+            *unseen,
             *statements.undecided(model),
         ),
-        excluded=statements.excluded(absent, found.possible),
+        excluded=excluded,
         data="heldout",
         held_out=end.data.test,
         before=with_forces(end.before, model, found.baseline.theta, end.data.test, end.sigma),

@@ -270,32 +270,30 @@ def _channel(before: Score, after: Score) -> tuple[str, int | None]:
     return most.channel, most.joint
 
 
-def excluded(absent: AbsentEffects, possible: Collection[str]) -> tuple[Excluded, ...]:
+def exclusions(
+    absent: AbsentEffects, possible: Collection[str]
+) -> tuple[tuple[Excluded, ...], tuple[Undecided, ...]]:
     """The largest size of every absent term that could hide beside the final model (99 %).
 
-    ``possible`` are keys of terms that may well be there: they are left out, and so is what would go unseen.
+    And those that any size of could hide. ``possible`` are keys of terms that may well be there: they are in
+    neither.
     """
-    return tuple(
-        Excluded(e.term.name, e.term.joint, largest, e.parameter.unit, 0.99, e.parameter.recording)
-        for e, largest in _largest_hidden(absent)
-        if e.term.key not in possible and not _goes_unseen(absent, e, largest)
-    )
-
-
-def unseen(absent: AbsentEffects, possible: Collection[str]) -> tuple[Undecided, ...]:
-    """Absent terms of which sizes as large as the whole motion would hide."""
-    at_bound = _sizes_at_bound(absent.fitted)
+    at_bound, motion = _sizes_at_bound(absent.fitted), _motion(absent.fitted)
     reason = (
         f"nothing can be excluded beside a model whose {at_bound[0]} is at its bound"
         if at_bound
         else "these data would not show it, however large: what the model has already makes up for it"
     )
-    terms = {
-        (e.term.name, e.term.joint): None
-        for e, largest in _largest_hidden(absent)
-        if e.term.key not in possible and _goes_unseen(absent, e, largest)
-    }
-    return tuple(Undecided(*term, (), reason) for term in terms)
+    limits, unseen = list[Excluded](), dict[tuple[str, int | None], Undecided]()
+    for effect, largest in _largest_hidden(absent):
+        term, parameter = effect.term, effect.parameter
+        if term.key in possible:
+            continue
+        if at_bound or _goes_unseen(effect, largest, motion):
+            unseen[term.name, term.joint] = Undecided(term.name, term.joint, (), reason)
+        else:
+            limits.append(Excluded(term.name, term.joint, largest, parameter.unit, 0.99, parameter.recording))
+    return tuple(limits), tuple(unseen.values())
 
 
 def _largest_hidden(absent: AbsentEffects) -> Iterator[tuple[AbsentEffect, float]]:
@@ -318,26 +316,28 @@ def _largest_hidden(absent: AbsentEffects) -> Iterator[tuple[AbsentEffect, float
         yield effect, float((abs(value) + stats.norm.ppf(0.995) * error) * effect.parameter.scale)
 
 
-def _goes_unseen(absent: AbsentEffects, effect: AbsentEffect, size: float) -> bool:
+def _motion(fitted: Fitted) -> float:
+    """How much the outputs move at all, as a length of residuals."""
+    outputs = fitted.problem.record.outputs[fitted.problem.windows.rows] / fitted.problem.sigma
+    return float(np.linalg.norm(outputs - outputs.mean(axis=0)))
+
+
+def _goes_unseen(effect: AbsentEffect, size: float, motion: float) -> bool:
     """Whether an effect of that size is more than it can be, or moves outputs as much as they move at all.
 
-    There responses are linear no longer, and a limit would exclude nothing. Beside a size of the rig that is
-    at its bound responses say nothing: an input that has no effect may have any dead zone.
+    There responses are linear no longer, and a limit would exclude nothing.
     """
-    parameter, problem = effect.parameter, absent.fitted.problem
-    if _sizes_at_bound(absent.fitted):
-        return True
+    parameter = effect.parameter
     if size > max(abs(parameter.lower), abs(parameter.upper)):
         return True
-    outputs = problem.record.outputs[problem.windows.rows] / problem.sigma
-    motion = np.linalg.norm(outputs - outputs.mean(axis=0))
     return bool(np.linalg.norm(effect.response) * size / parameter.scale > motion)
 
 
 def _sizes_at_bound(fitted: Fitted) -> list[str]:
     """The rig's own sizes that a fit took to a bound without coming to the noise there.
 
-    One that these data do not show, as a motor's inductance, may be there and harm nothing.
+    Beside them responses say nothing: an input that has no effect may have any dead zone. One that these data
+    do not show, as a motor's inductance, may be there and harm nothing.
     """
     problem = fitted.problem
     if fitted.noise < NOISE:

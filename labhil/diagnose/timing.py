@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -57,8 +58,8 @@ SMALLEST = 1e-6
 TERMS = ("viscous_friction", "coulomb_friction", "constant_force")
 """What nearly every rig has, and what delays its answers."""
 
-MOST_STEPS, BRIEFLY = 60, 20
-"""Steps of least squares of a fit that is thorough, and of one that only says whether to be.
+BRIEFLY = 20
+"""Steps of least squares of a fit that only says whether a thorough one is worth it.
 
 With the right stamps a model comes to the noise in a dozen; what creeps on after that does so under any.
 """
@@ -224,12 +225,11 @@ def _fits(
     model: Model, records: Iterable[Record], *, thorough: bool, more: Sequence[str] = ()
 ) -> list[Fitted]:
     terms = [term for term in (*TERMS, *more) if term in model.terms]
-    length, steps = IN_HORIZONS * model.horizon, MOST_STEPS if thorough else BRIEFLY
+    length, fit = IN_HORIZONS * model.horizon, partial(fit_terms, new_terms=(), thorough=thorough)
+    if not thorough:
+        fit = partial(fit, iterations=BRIEFLY)
     try:
-        return [
-            fit_terms(model, r, terms, length, noise_of(r), new_terms=(), thorough=thorough, iterations=steps)
-            for r in records
-        ]
+        return [fit(model, r, terms, length, noise_of(r)) for r in records]
     except (UsageError, np.linalg.LinAlgError):
         return []
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from math import pi
@@ -138,6 +138,16 @@ def unkeyed(key: str) -> tuple[str, int | None]:
     """Name and joint that :func:`keyed` made a key of."""
     name, _, joint = key.removesuffix("]").partition("[")
     return (name, int(joint)) if re.fullmatch("[0-9]{1,4}", joint) else (key, None)
+
+
+def enumerated(names: Sequence[str]) -> str:
+    """Names within a sentence.
+
+    Example:
+        >>> enumerated(["a"]), enumerated(["a", "b", "c"])
+        ('a', 'a, b and c')
+    """
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def listed(keys: Iterable[str]) -> list[str]:

@@ -11,6 +11,7 @@ from rich.text import Text
 from labhil.analysis.schema import ComparedModel, ComparisonPart, SharedParameter, Source, ValueOfModel
 from labhil.physics.terms import keyed, listed
 from labhil.report.parameter_columns import figure, small
+from labhil.report.text import next_steps_lines
 
 AGREE = {True: "agree", False: "DISAGREE", None: "not known"}
 
@@ -28,9 +29,7 @@ def _pieces(found: ComparisonPart) -> Iterator[RenderableType]:
     yield model_table(found)
     if found.parameters:
         yield parameter_table(found)
-    if found.next_steps:
-        yield Text("What to do next", style="bold")
-        yield from (Text(f"· {step}") for step in found.next_steps)
+    yield from next_steps_lines(found.next_steps)
 
 
 def _table(title: str) -> Table:

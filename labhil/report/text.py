@@ -247,9 +247,15 @@ def diagnosis_text(diagnosis: DiagnosisPart) -> RenderableType:
         parameter_table(diagnosis.judged_rows, "Final model"),
         *[Text(line) for line in [disagreement(diagnosis.scale_factor)] if line],
         *_not_found(diagnosis),
-        Text("What to do next", style="bold"),
-        *(Text(f"· {step}") for step in diagnosis.next_steps),
+        *next_steps_lines(diagnosis.next_steps),
     )
+
+
+def next_steps_lines(steps: Sequence[str]) -> Iterator[RenderableType]:
+    """What to do next, a line each, under its heading; nothing where there is none."""
+    if steps:
+        yield Text("What to do next", style="bold")
+        yield from (Text(f"· {step}") for step in steps)
 
 
 def _found(diagnosis: DiagnosisPart) -> Iterator[RenderableType]:

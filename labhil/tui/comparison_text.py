@@ -12,6 +12,7 @@ from labhil.analysis.schema import ComparedModel, ComparisonPart, VerificationPa
 from labhil.physics.terms import keyed, listed
 from labhil.report.comparison import AGREE, on_what, value_text
 from labhil.report.html.quantity import p_value, percent, quantity
+from labhil.tui.result_text import next_steps_lines
 from labhil.tui.words import PlainTable
 
 Colours = dict[str, str]
@@ -46,9 +47,7 @@ def _comparison(found: ComparisonPart, colours: Colours) -> Iterator[RenderableT
     if found.parameters:
         yield Text("\nParameters that they share", style=f"bold {colours['primary']}")
         yield _parameters(found, colours)
-    if found.next_steps:
-        yield Text("\nWhat to do next", style=f"bold {colours['primary']}")
-        yield from (Text(f"· {step}") for step in found.next_steps)
+    yield from next_steps_lines(found.next_steps, colours)
 
 
 def _models(found: ComparisonPart, colours: Colours) -> PlainTable:

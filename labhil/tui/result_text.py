@@ -233,12 +233,14 @@ def diagnosis_text(found: DiagnosisPart, colours: Colours) -> RenderableType:
         parts += [_title("How much better", colours), _improvement(found.improvement, colours)]
     parts += [_title("Final model", colours), ParameterTable(found.judged_rows, colours)]
     parts += [Text(line) for line in [disagreement(found.scale_factor)] if line]
-    return Group(*parts, *_rest(found, colours), *_next_steps(found, colours))
+    return Group(*parts, *_rest(found, colours), *next_steps_lines(found.next_steps, colours))
 
 
-def _next_steps(found: DiagnosisPart, colours: Colours) -> Iterator[RenderableType]:
-    yield _title("What to do next", colours)
-    yield from (Text(f"· {step}") for step in found.next_steps)
+def next_steps_lines(steps: Sequence[str], colours: Colours) -> Iterator[RenderableType]:
+    """What to do next, a line each, under its heading; nothing where there is none."""
+    if steps:
+        yield _title("What to do next", colours)
+        yield from (Text(f"· {step}") for step in steps)
 
 
 def _missing(item: MissingEffect, rivals: Sequence[Rival], colours: Colours) -> RenderableType:

@@ -8,7 +8,7 @@ import numpy as np
 
 from labhil.diagnose.begin import data_of
 from labhil.diagnose.discrepancy import absent_effects
-from labhil.diagnose.statements import excluded
+from labhil.diagnose.statements import exclusions
 from labhil.identify.fitted import fit_terms
 from labhil.physics.model import Record
 from labhil.physics.rigs import model_for
@@ -23,7 +23,7 @@ def limits(record: Record) -> dict[str, float]:
     model = model_for(default_rig("dc_motor"), record)
     data = data_of(model, record, record)
     found = fit_terms(model, record, DRY, data.window, data.sigma, start=data.begin, iterations=8)
-    stated = excluded(absent_effects(found), ())
+    stated, _ = exclusions(absent_effects(found), ())
     return {item.term: item.largest_hidden for item in stated}
 
 
