@@ -27,17 +27,33 @@ KEEPING_TIME = ("bus", "firmware", "matrix", "run", "tui", "wire")
 """Folders whose tests run devices and hosts in real time: never two of them at once."""
 
 
+WORKER = os.environ.get("PYTEST_XDIST_WORKER", "").removeprefix("gw")
+CORES = sorted(os.sched_getaffinity(0))
+
+
+def keeps_time(path: Path) -> bool:
+    """Whether the tests of a file do."""
+    return path.parent.name in KEEPING_TIME
+
+
 class ByFile(LoadScopeScheduling):
     """Shares the tests out by file; those that keep time are one share."""
 
     def _split_scope(self, nodeid: str) -> str:
-        path = nodeid.partition("::")[0]
-        return "in real time" if Path(path).parent.name in KEEPING_TIME else path
+        path = Path(nodeid.partition("::")[0])
+        return "in real time" if keeps_time(path) else str(path)
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> ByFile:
     """How two processes divide the work."""
     return ByFile(config, log)
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Leave a core to the process whose tests keep time: beside a fit on all cores commands come too late."""
+    if WORKER:
+        own = [CORES[int(WORKER) % len(CORES)]]
+        os.sched_setaffinity(0, CORES if keeps_time(item.path) else own)
 
 
 @pytest.fixture(scope="session", autouse=True)

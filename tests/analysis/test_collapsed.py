@@ -159,7 +159,7 @@ def geared(seconds: float = 10.0) -> lh.Recording:
     return lh.recording(t, {"voltage": voltage}, {"speed": seen}, rig="dc_motor")
 
 
-@pytest.mark.extended
+@pytest.mark.long
 @pytest.mark.timeout(600)
 def test_a_constant_load_that_a_motor_s_sizes_gave_way_to_is_found():
     found = lh.diagnose(geared(), baseline=["viscous_friction"])

@@ -351,7 +351,7 @@ EFFECTS = {
 
 @pytest.mark.extended
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("effect", EFFECTS)
+@pytest.mark.parametrize("effect", ["dead_zone", pytest.param("time_delay", marks=pytest.mark.long)])
 def test_one_more_effect_beside_known_dry_friction_is_named(model, acquire, effect):
     answer = diagnosed(model, acquire, (*DRY, effect), seed=50, baseline=DRY)
     named = {item.term for item in answer.missing}

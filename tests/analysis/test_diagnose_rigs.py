@@ -92,7 +92,7 @@ def test_what_is_concealed_is_named_located_and_modelled(kind, concealed, enters
     assert found.after.rmse < 1.1 * found.after.noise_floor < 0.9 * found.before.rmse
 
 
-@pytest.mark.extended
+@pytest.mark.long
 def test_a_hold_without_width_is_no_stribeck_peak():
     found = diagnosed("axis", ("static_friction",), {"static_friction.level": 15.0})
     assert [item.term for item in found.missing] == ["static_friction"]
@@ -111,7 +111,7 @@ def test_what_others_build_on_is_not_told_where_it_is_hardly_there():
     assert "coulomb_friction" in found.final_terms
 
 
-@pytest.mark.extended
+@pytest.mark.long
 def test_play_in_a_drive_is_named_though_its_size_is_not_found_to_the_noise():
     """Long windows of a drive with play have minima of their own: the answer stands on short ones."""
     found = diagnosed("axis", ("backlash",))

@@ -39,7 +39,7 @@ def shoved(seconds: float, seed: int) -> Record:
 
 @pytest.mark.extended
 @pytest.mark.timeout(300)
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [pytest.param(1, marks=pytest.mark.long), 2])
 def test_a_mismatch_of_the_searched_data_stays_one(seed: int) -> None:
     record = shoved(100.0, seed)
     model = model_for(rig_of("axis"), record)

@@ -196,7 +196,7 @@ def _covered(model: BallBeamModel, acquire, seed: int) -> dict[str, bool]:
     return {row.name: row.ci99[0] <= TRUTH[row.name] <= row.ci99[1] for row in rows}
 
 
-@pytest.mark.extended
+@pytest.mark.long
 @pytest.mark.timeout(1500)
 def test_99_percent_intervals_cover_the_truth_in_50_seeds(model, acquire):
     with ProcessPoolExecutor(2) as pool:

@@ -128,7 +128,7 @@ def balanced(seed: int, offset: float, seconds: float = 30.0) -> lh.Recording:
 
 @pytest.mark.extended
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_a_beam_angle_that_is_noisy_and_off_is_a_constant_push_not_a_dead_zone(seed: int):
     found = lh.diagnose(balanced(seed, 0.041), baseline=["viscous_friction"])
     assert "constant_force" in [effect.term for effect in found.missing]

@@ -157,7 +157,7 @@ def test_the_study_as_a_picture(study: Optimisation, tmp_path: Path) -> None:
     assert (tmp_path / "study.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.extended
+@pytest.mark.long
 @pytest.mark.timeout(900)
 def test_the_whole_study_ends_at_one_optimum_and_the_field_solver_agrees(tmp_path: Path) -> None:
     first, second = run(0, field=True), run(1)

@@ -122,7 +122,7 @@ def test_what_one_more_block_promises_is_what_the_evidence_is_with_it() -> None:
             assert calm[s, 0] == pytest.approx(undisturbed_too[0], abs=1e-5)
 
 
-@pytest.mark.extended
+@pytest.mark.long
 @pytest.mark.timeout(600)
 def test_the_terms_of_a_shipped_recording_are_found() -> None:
     material = load_dataset(

@@ -177,7 +177,7 @@ def test_wrong_use_is_told():
     assert [study.name for study in studies_of(["5.9"])] == ["solenoid"]
 
 
-@pytest.mark.extended
+@pytest.mark.long
 @pytest.mark.timeout(900)
 def test_a_table_by_the_command_in_two_processes(tmp_path):
     with (tmp_path / "out.txt").open("w") as file:

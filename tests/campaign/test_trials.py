@@ -262,7 +262,7 @@ def test_no_alarm_is_raised_where_noise_is_not_what_it_is_taken_for(tmp_path, ki
     assert score_trials(folder, order.answers, silent).false_alarms.hits == 0
 
 
-@pytest.mark.extended
+@pytest.mark.long
 def test_forward_steps_name_a_strong_effect_and_are_scored(tmp_path):
     folder = tmp_path / "set"
     order = Order("axis", 3, "1", folder, answers_beside(folder), 4)

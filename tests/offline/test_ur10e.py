@@ -176,7 +176,7 @@ def diagnosed(labhil, tmp_path, name):
 
 @pytest.mark.extended
 @pytest.mark.timeout(1200)
-@pytest.mark.parametrize("loaded", [LOADED, LOADED_AGAIN])
+@pytest.mark.parametrize("loaded", [pytest.param(LOADED, marks=pytest.mark.long), LOADED_AGAIN])
 def test_a_load_that_nobody_told_of_is_found_to_a_few_per_cent(labhil, tmp_path, loaded):
     """The robot carries 2.805 kg that neither its controller nor the model knows of."""
     found, terms = diagnosed(labhil, tmp_path, loaded)
@@ -189,7 +189,7 @@ def test_a_load_that_nobody_told_of_is_found_to_a_few_per_cent(labhil, tmp_path,
     assert not [change for change in found["changed"] if change["name"].startswith("grouped")]
 
 
-@pytest.mark.extended
+@pytest.mark.long
 @pytest.mark.timeout(1200)
 def test_gears_rub_under_load_and_ripple_with_their_teeth(labhil, tmp_path):
     """Without a load: what a harmonic drive of 1:101 does, 202 times a turn; joints 0 and 3 show it most."""

@@ -78,7 +78,10 @@ def test_what_is_fitted_is_what_the_fmu_does(tmp_path: Path, version: int, kinds
 
 
 @pytest.mark.extended
-@pytest.mark.parametrize(("version", "kinds"), EVERY)
+@pytest.mark.parametrize(
+    ("version", "kinds"),
+    [pytest.param(*each, marks=pytest.mark.long if each == (2, "cs") else ()) for each in EVERY],
+)
 def test_a_fit_finds_the_plant(tmp_path: Path, version: int, kinds: str) -> None:
     rod = lh.fmu_simulator(built(tmp_path, version=version, kinds=kinds))
     fit = lh.fit(swing(rod, seconds=8.0), rod, terms=["coulomb_friction"])

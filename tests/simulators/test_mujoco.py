@@ -184,7 +184,11 @@ def test_a_fit_finds_the_plant_with_its_dry_friction(tmp_path: Path) -> None:
 @pytest.mark.extended
 @pytest.mark.parametrize(
     ("concealed", "missing"),
-    [({}, set()), ({"dry": 0.06}, {"coulomb_friction"}), ({"late": 5}, {"time_delay"})],
+    [
+        ({}, set()),
+        ({"dry": 0.06}, {"coulomb_friction"}),
+        pytest.param({"late": 5}, {"time_delay"}, marks=pytest.mark.long),
+    ],
 )
 def test_a_diagnosis_names_what_the_plant_conceals(
     tmp_path: Path, concealed: dict[str, float], missing: set[str]
