@@ -14,6 +14,7 @@ from labhil.identify import statistics
 from labhil.identify.adequacy import EXPLAINED_TO, Adequacy, adequacy_of
 from labhil.identify.estimators import DEFAULT, INTERRUPTED, search
 from labhil.identify.fitted import (
+    ON_THE_WAY,
     Fitted,
     covariances,
     fit_briefly,
@@ -26,6 +27,7 @@ from labhil.identify.fitted import (
 )
 from labhil.identify.identifiability import Identifiability, identifiability
 from labhil.identify.intervals import Intervals
+from labhil.identify.least_squares import TOLERANCE
 from labhil.identify.problem import Problem
 from labhil.identify.sampling import moved_estimates, sampling_notes
 from labhil.identify.score import Score, score, with_forces
@@ -281,12 +283,15 @@ def _first_rung(
 
     The default goes on from the model's own starts only where they promise more than the search gave.
     """
+    tolerance = ON_THE_WAY if len(lengths) > 1 else TOLERANCE
     if how.estimator == "nlse":
-        return fit_terms(model, record, terms, lengths[0], sigma, start=begin, new_terms=fresh)
+        return fit_terms(
+            model, record, terms, lengths[0], sigma, start=begin, new_terms=fresh, tolerance=tolerance
+        )
     windows = fit_windows(record, lengths[-1] if model.fading_memory else lengths[0])
     problem = Problem(model, record, windows, free_of(model, terms), begin, sigma)
     # widths are hardly known on short windows; they are scanned afterwards
-    begun = partial(fit_terms, model, record, terms, lengths[0], sigma, shapes=False)
+    begun = partial(fit_terms, model, record, terms, lengths[0], sigma, shapes=False, tolerance=tolerance)
     scout = _scouted(problem, begun, how)
     if how.estimator == DEFAULT and scout.noise >= EXPLAINED:
         own = begun(start=begin, new_terms=fresh, hopeless=scout.solution.cost)
@@ -335,10 +340,10 @@ def _window_estimate(fitted: Fitted, length: float) -> WindowEstimate:
 def _comparable(by_window: Sequence[WindowEstimate], chosen: int) -> list[WindowEstimate]:
     """Fits on other windows that should agree with the chosen one, were the model complete.
 
-    Where the shortest windows fit to the noise, only those that do: longer ones are biased by what disturbs
+    Where some windows, mostly the shortest, fit to the noise, only those that do: longer ones are biased by what disturbs
     the plant, which is no fault of the estimate on short ones. Else all.
     """
-    disturbed = by_window[0].residual <= EXPLAINED_TO
+    disturbed = min(rung.residual for rung in by_window) <= EXPLAINED_TO
     others = [rung for k, rung in enumerate(by_window) if k != chosen]
     return [rung for rung in others if not disturbed or rung.residual <= EXPLAINED_TO]
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from labhil.identify import statistics
 from labhil.identify.adequacy import EXPLAINED_TO
-from labhil.identify.least_squares import Solution, least_squares, settle
+from labhil.identify.least_squares import TOLERANCE, Solution, least_squares, settle
 from labhil.identify.problem import Point, Problem
 from labhil.identify.sensitivities import sensitivities
 from labhil.identify.windows import fit_windows
@@ -22,6 +22,9 @@ SCOUT_ITERATIONS = 8
 FIRST_ITERATIONS, LED_ON = 3, 2
 """Steps from every start where there are many, and from how many of them a scout goes on."""
 
+
+ON_THE_WAY = 1e-4
+"""Tolerance of a fit that the next one begins from: near a kink of dry friction steps creep on for little."""
 
 BRIEF_ITERATIONS = 5
 """Steps of a fit that is ended before it came to anything: a second or two, and far below its start."""
@@ -120,7 +123,7 @@ def fit_terms(
     new_terms: Sequence[str] | None = None,
     starts: Sequence[Mapping[str, float]] | None = None,
     iterations: int = 60,
-    tolerance: float = 1e-6,
+    tolerance: float = TOLERANCE,
     thorough: bool = True,
     hopeless: float = float("inf"),
     shapes: bool = True,
@@ -233,10 +236,18 @@ def fit_by_continuation(
     it holds what there is when the fit is ended early.
     """
     rungs: list[Fitted] = [] if reached is None else reached
-    for length in lengths:
+    for k, length in enumerate(lengths):
         begin = rungs[-1].theta if rungs else start
         fit = partial(
-            fit_terms, model, record, terms, length, sigma, new_terms=() if rungs else fresh, held=held
+            fit_terms,
+            model,
+            record,
+            terms,
+            length,
+            sigma,
+            new_terms=() if rungs else fresh,
+            held=held,
+            tolerance=ON_THE_WAY if k + 1 < len(lengths) else TOLERANCE,
         )
         rung = fit(start=begin)
         back = _off_bounds(rung, begin)
@@ -260,15 +271,16 @@ def _off_bounds(rung: Fitted, begin: FloatArray) -> FloatArray | None:
 def trusted_rung(rungs: Sequence[Fitted], lengths: Sequence[float], horizon: float) -> int:
     """Which of the fits on longer and longer windows (``lengths``, s) is the answer.
 
-    Where the shortest windows fit to the noise: the longest whose residuals have grown by less than 30 %
-    over theirs, since noise that drives the plant itself biases longer ones. Where not even those fit, the
+    Where some windows, mostly the shortest, fit to the noise: the longest whose residuals have grown by less
+    than 30 % over those, since noise that drives the plant itself biases longer ones. Where none fit, the
     model is incomplete and none is free of bias; short windows then are no safer, they only fit the misfit
     with their own initial states. The windows nearest to the scored ``horizon`` (s), which was chosen before
     anything was fitted, give the values that predict best what the model is judged by.
     """
-    if rungs[0].noise > EXPLAINED_TO:
+    least = min(rung.noise for rung in rungs)
+    if least > EXPLAINED_TO:
         return int(np.argmin(np.abs(np.log(np.asarray(lengths[: len(rungs)]) / horizon))))
-    trusted = [i for i, rung in enumerate(rungs) if rung.noise <= WORST_GROWTH * rungs[0].noise]
+    trusted = [i for i, rung in enumerate(rungs) if rung.noise <= WORST_GROWTH * least]
     return max(trusted)
 
 

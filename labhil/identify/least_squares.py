@@ -34,6 +34,9 @@ DAMPING = 1e-3
 MOST_DAMPING = 1e4
 """A step as short as this lets nobody come any lower."""
 
+TOLERANCE = 1e-6
+"""Share of the cost that a step has to gain for another one to follow."""
+
 RESCUED = 1e-3
 """Share of the cost that better states of windows have to gain for a fit to go on."""
 
@@ -61,7 +64,7 @@ def least_squares(
     start: Point,
     *,
     iterations: int = 60,
-    tolerance: float = 1e-6,
+    tolerance: float = TOLERANCE,
     settled: bool = False,
     thorough: bool = True,
     on_step: Callable[[float], None] | None = None,

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from labhil.identify.fitted import Fitted, covariances
+from labhil.identify.fitted import ON_THE_WAY, Fitted, covariances
 from labhil.identify.least_squares import Solution, least_squares
 from labhil.identify.problem import Point, Problem
 from labhil.identify.waves import orders_instead
@@ -90,7 +90,9 @@ def _scanned(fitted: Fitted, j: int, values: FloatArray) -> Iterator[Fitted]:
         _held_at(problem, trial.point, j, float(trial.point.z[j] * scale), AFTERWARDS) for trial in better
     ]
     for trial in sorted(held, key=lambda found: found.cost)[:LET_GO]:
-        let_go = least_squares(problem, trial.point, iterations=30, settled=True, thorough=False)
+        let_go = least_squares(
+            problem, trial.point, iterations=30, tolerance=ON_THE_WAY, settled=True, thorough=False
+        )
         yield replace(fitted, theta=problem.theta(let_go.point.z), solution=let_go)
 
 

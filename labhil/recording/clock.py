@@ -128,8 +128,8 @@ def _mapped(
     stretches = [slice(first, last) for first, last in pairwise(edges) if last > first]
     longest = max(range(len(stretches)), key=lambda k: float(x[stretches[k]][-1] - x[stretches[k]][0]))
     line = delay_line(x[stretches[longest]], delay[stretches[longest]])
-    fit_by_continuation = np.concatenate([[0.0], np.cumsum([step.size for step in steps])])
-    levels = line.level + fit_by_continuation - fit_by_continuation[longest]
+    stepped = np.concatenate([[0.0], np.cumsum([step.size for step in steps])])
+    levels = line.level + stepped - stepped[longest]
     begins = x[[0, *(step.row for step in steps)]]
     return line, ClockMap(zero_ns, origin_ns, speed, begins, levels, line.slope, line.middle, float(x[-1]))
 
