@@ -340,8 +340,8 @@ def _window_estimate(fitted: Fitted, length: float) -> WindowEstimate:
 def _comparable(by_window: Sequence[WindowEstimate], chosen: int) -> list[WindowEstimate]:
     """Fits on other windows that should agree with the chosen one, were the model complete.
 
-    Where some windows, mostly the shortest, fit to the noise, only those that do: longer ones are biased by what disturbs
-    the plant, which is no fault of the estimate on short ones. Else all.
+    Where some windows, mostly the shortest, fit to the noise, only those that do: longer ones are biased by
+    what disturbs the plant, which is no fault of the estimate on short ones. Else all.
     """
     disturbed = min(rung.residual for rung in by_window) <= EXPLAINED_TO
     others = [rung for k, rung in enumerate(by_window) if k != chosen]
