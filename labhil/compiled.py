@@ -128,6 +128,15 @@ def specialised(function: Function) -> Function:
     return cast(Function, numba.njit(**HOW, **alone)(function))
 
 
+def merged(function: Function) -> Function:
+    """The same for a function that is called in one place: its statements become those of its caller.
+
+    Machine code is made once then, of the kernel, and not of every function on the way to it, each with all
+    that it calls inside: a third of the time.
+    """
+    return cast(Function, numba.njit(inline="always", **HOW)(function))
+
+
 def by_type(
     function: Callable[..., object], laws: dict[type, Callable[..., object]], other: Callable[..., object]
 ) -> None:

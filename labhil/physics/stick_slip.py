@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from labhil.compiled import inlined, specialised
+from labhil.compiled import inlined, merged, specialised
 from labhil.physics.bracket import Bracket, crossing, narrowed
 from labhil.physics.moving_part import Course, Follows, Laws, Motion, Part, Step, Stops, stepper
 from labhil.signals import FloatArray, IntArray
@@ -113,7 +113,7 @@ def rester(laws: Laws[Part, Course], step: Step[Part]) -> Stage[Part]:
     grip = laws.grip
     time_to_leave = leaver(laws, step)
 
-    @specialised
+    @merged
     def rest(
         s: Motion, side: float, u: float, rise: float, h: float, finest: float, how: Follows, stops: Stops,
         part: Part,
@@ -133,7 +133,7 @@ def mover(laws: Laws[Part, Course], step: Step[Part]) -> Stage[Part]:
     grip = laws.grip
     time_to_event = finder(step)
 
-    @specialised
+    @merged
     def move(
         s: Motion, side: float, u: float, rise: float, h: float, finest: float, how: Follows, stops: Stops,
         part: Part,
@@ -192,7 +192,7 @@ def advancer(laws: Laws[Part, Course]) -> Callable[..., tuple[Motion, float]]:
             return 0.0
         return rate if abs(pull(s, side, u, part)) * bend <= BALANCED * rate * rate else 0.0
 
-    @specialised
+    @merged
     def advance(
         s: Motion, side: float, u: float, rise: float, h: float, finest: float, stops: Stops, part: Part
     ) -> tuple[Motion, float]:
@@ -250,7 +250,7 @@ def integrator(laws: Laws[Part, Course]) -> Run[Part, Course]:
     """Compile the simulation of windows of a recording for a kernel of these laws, which calls it."""
     advance, at = advancer(laws), laws.at
 
-    @specialised
+    @merged
     def run(
         t: FloatArray, node_t: FloatArray, values: FloatArray, first: IntArray, last: IntArray,
         states: FloatArray, stops: Stops, part: Part, course: Course, out: FloatArray,
