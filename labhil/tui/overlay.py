@@ -1,9 +1,11 @@
-"""Measurement and model over each other, with each term of the model switched on and off."""
+"""Measurement and models over each other: the terms of one switched on and off, or whole models."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from string import ascii_uppercase
 from typing import Any, ClassVar
 
 import numpy as np
@@ -19,8 +21,10 @@ from textual.widgets.selection_list import Selection
 
 from labhil.campaign.studies.overlay import MODULE
 from labhil.campaign.studies.process import Helper
+from labhil.signals import FloatArray
 from labhil.tui.curve import Curve, Pen
-from labhil.tui.plot import Chart
+from labhil.tui.plot import Chart, Plot
+from labhil.tui.themes import CURVES
 
 Channel = dict[str, Any]
 
@@ -32,29 +36,26 @@ class Simulated(Message):
     line: dict[str, Any]
 
 
-class OverlayScreen(Screen[None]):
-    """The outputs of a recording under the whole model and under the terms that are switched on."""
+class Overlay(Screen[None]):
+    """Outputs of a recording, and models over them that are switched on and off in a list."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("escape,q,backspace", "app.pop_screen", "Back", id="overlay.back"),
-        Binding("a", "all", "All on", id="overlay.all", tooltip="Switch all terms on"),
-        Binding("n", "none", "All off", id="overlay.none", tooltip="Switch all terms off", show=False),
+        Binding("a", "all", "All on", id="overlay.all", tooltip="Switch all on"),
+        Binding("n", "none", "All off", id="overlay.none", tooltip="Switch all off", show=False),
         Binding("f12", "app.stop_all", "STOP ALL", id="overlay.stop", tooltip="Emergency stop"),
     ]
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, heading: str, told: Mapping[str, Any]) -> None:
         super().__init__(id="overlay-screen")
-        self._path = path
+        self._heading, self._told = heading, told
         self._helper: Helper | None = None
-        self._whole: list[Channel] = []
         self._charts: list[Chart] = []
         self._reason = ""
-        self.shown: frozenset[str] | None = None
-        """The terms without which the model on the screen was simulated; None before the first."""
 
     def compose(self) -> ComposeResult:
-        """A title, the terms, what the errors are, and room for charts."""
-        yield Static(Text(f" {self._path.name} … simulating", style="bold"), id="overlay-title")
+        """A title, what is switched, what the errors are, and room for charts."""
+        yield Static(Text(f" {self._heading} … simulating", style="bold"), id="overlay-title")
         with Container(id="overlay-split"):
             with Vertical(id="overlay-side"):
                 yield SelectionList[str](id="overlay-terms")
@@ -63,9 +64,8 @@ class OverlayScreen(Screen[None]):
         yield Footer(show_command_palette=False)
 
     def on_mount(self) -> None:
-        """Have the model simulated."""
-        told = {"result": str(self._path.absolute())}
-        self._helper = Helper("the simulation", MODULE, told, self._hear)
+        """Have the models simulated."""
+        self._helper = Helper("the simulation", MODULE, self._told, self._hear)
 
     def _hear(self, line: dict[str, Any]) -> None:
         self.post_message(Simulated(line))
@@ -83,41 +83,140 @@ class OverlayScreen(Screen[None]):
             self._reason = str(line["failed"])
             self._fail(self._reason)
         elif "ended" in line:
-            self._fail(self._reason or str(line["complaint"] or "the process that simulates has ended"))
-        elif "terms" in line:
-            self._whole = line["channels"]
-            await self._begin(line)
-        if "channels" in line:
-            self._draw(line)
+            if line["ended"] or not self._charts:
+                self._fail(self._reason or str(line["complaint"] or "the process that simulates has ended"))
+        elif "channels" in line:
+            await self.take(line)
+
+    async def take(self, line: dict[str, Any]) -> None:
+        """Show a line of the process that has curves."""
+        raise NotImplementedError
 
     def _fail(self, reason: str) -> None:
         title = Text(f" ✕ {reason}", style=f"bold {self.app.theme_variables['error']}")
         self.query_one("#overlay-title", Static).update(title)
 
-    async def _begin(self, line: dict[str, Any]) -> None:
+    async def begin(self, options: Mapping[str, str], charts: int) -> None:
+        """List what is switched, by what it is called, and make room for so many charts."""
         listed = self.query_one(SelectionList)
-        for term in line["terms"]:
-            listed.add_option(Selection(Content(term), term, True))
-        self._charts = [Chart(classes="overlay-chart") for _ in line["channels"]]
+        for value, name in options.items():
+            listed.add_option(Selection(Content(name), value, True))
+        self._charts = [Chart(classes="overlay-chart") for _ in range(charts)]
         await self.query_one("#overlay-charts").mount_all(self._charts)
         listed.highlighted = 0
         listed.focus()
 
-    def _draw(self, line: dict[str, Any]) -> None:
+    def show_errors(self, lines: Sequence[str]) -> None:
+        """Say how large the errors are."""
+        self.query_one("#overlay-errors", Static).update(Text("\n".join(lines)))
+
+    def show_title(self, more: str = "") -> None:
+        """Say what is on the screen."""
+        title = Text(f" {self._heading}{more}", style="bold", no_wrap=True, overflow="ellipsis")
+        self.query_one("#overlay-title", Static).update(title)
+
+    def action_all(self) -> None:
+        """Switch all on."""
+        self.query_one(SelectionList).select_all()
+
+    def action_none(self) -> None:
+        """Switch all off."""
+        self.query_one(SelectionList).deselect_all()
+
+
+class ModelsScreen(Overlay):
+    """The outputs of a recording under the models of several results, or by how much each of them errs."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding(
+            "d",
+            "differences",
+            "Errors",
+            id="overlay.differences",
+            tooltip="Each model less the measurement, or both over each other again",
+        ),
+    ]
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        super().__init__(
+            f"{len(paths)} models over one recording", {"results": [str(path.absolute()) for path in paths]}
+        )
+        self._line: dict[str, Any] | None = None
+        self._differences = False
+        self.shown: frozenset[str] | None = None
+        """The letters of the models on the screen; None before the first."""
+
+    async def take(self, line: dict[str, Any]) -> None:
+        """Show all models."""
+        self._heading = f"{len(line['models'])} models over {line['recording']}"
+        options = {letter: f"{letter}  {name}" for letter, name in _lettered(line["models"])}
+        await self.begin(options, len(line["channels"]))
+        self._line = line
+        self._draw()
+
+    def on_selection_list_selected_changed(self, _event: Any) -> None:
+        """Draw those that are chosen."""
+        self._draw()
+
+    def _draw(self) -> None:
+        if self._line is None:
+            return
+        chosen, errors = set(self.query_one(SelectionList).selected), list[str]()
+        for chart, channel in zip(self._charts, self._line["channels"], strict=True):
+            models = [(ascii_uppercase[m["number"]], m) for m in channel["models"]]
+            curves = [] if self._differences else [_measured(channel)]
+            for letter, model in models:
+                if letter in chosen:
+                    colour = f"curve-{model['number'] % CURVES}"
+                    curves.append(Curve(*self._drawn(channel, model), colour, Pen.SOLID, letter))
+            what = "less measured, " if self._differences else ""
+            chart.show(f"{channel['name']}, {what}{channel['unit']}", curves, keep_view=True)
+            rmse = [f"{letter} {_error({**model, 'unit': channel['unit']})}" for letter, model in models]
+            errors.append(f"{channel['name']}: RMSE {', '.join(rmse)}")
+        self.shown = frozenset(chosen)
+        self.show_errors(errors)
+        self.show_title()
+
+    def _drawn(self, channel: Channel, model: dict[str, Any]) -> tuple[FloatArray, FloatArray]:
+        """Times and values of a model's curve."""
+        t, simulated = np.array(model["t"]), _numbers(model["simulated"])
+        if not self._differences:
+            return t, simulated
+        return t, simulated - np.interp(t, np.array(channel["t"]), _numbers(channel["measured"]))
+
+    def action_differences(self) -> None:
+        """Show by how much models err, or what they say."""
+        self._differences = not self._differences
+        for chart in self._charts:
+            chart.query_one(Plot).action_whole()
+        self._draw()
+
+
+class OverlayScreen(Overlay):
+    """The outputs of a recording under the whole model and under the terms that are switched on."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path.name, {"result": str(path.absolute())})
+        self._whole: list[Channel] = []
+        self.shown: frozenset[str] | None = None
+        """The terms without which the model on the screen was simulated; None before the first."""
+
+    async def take(self, line: dict[str, Any]) -> None:
+        """Show the model with the terms that this line was simulated with."""
+        if "terms" in line:
+            self._whole = line["channels"]
+            await self.begin({term: term for term in line["terms"]}, len(line["channels"]))
         self.shown = frozenset(line["without"])
         for chart, whole, channel in zip(self._charts, self._whole, line["channels"], strict=True):
             chart.show(f"{channel['name']}, {channel['unit']}", curves_of(whole, channel), keep_view=True)
-        errors = [_errors(*pair) for pair in zip(self._whole, line["channels"], strict=True)]
-        self.query_one("#overlay-errors", Static).update(Text("\n".join(errors)))
+        self.show_errors([_errors(*pair) for pair in zip(self._whole, line["channels"], strict=True)])
         self._tell()
 
     def _tell(self) -> None:
         """Say what is on the screen, and whether it is what is chosen."""
         if self.shown is None:
             return
-        waits = "" if self.shown == self._without() else " … simulating"
-        title = Text(f" {self._path.name}{waits}", style="bold", no_wrap=True, overflow="ellipsis")
-        self.query_one("#overlay-title", Static).update(title)
+        self.show_title("" if self.shown == self._without() else " … simulating")
 
     def _without(self) -> frozenset[str]:
         listed = self.query_one(SelectionList)
@@ -130,24 +229,25 @@ class OverlayScreen(Screen[None]):
             self._helper.tell({"without": sorted(self._without())})
             self._tell()
 
-    def action_all(self) -> None:
-        """Switch all terms on."""
-        self.query_one(SelectionList).select_all()
-
-    def action_none(self) -> None:
-        """Switch all terms off."""
-        self.query_one(SelectionList).deselect_all()
-
 
 def curves_of(whole: Channel, chosen: Channel) -> list[Curve]:
     """Return the curves of an output: measured, under all terms, and under those that are chosen."""
-    t = np.array(whole["t"])
-    measured = Curve(t, _numbers(whole["measured"]), "curve-measured", Pen.DOTS, "measured")
+    t, measured = np.array(whole["t"]), _measured(whole)
     model = Curve(t, _numbers(chosen["simulated"]), "curve-0", Pen.SOLID, "model")
     if not chosen["without"]:
         return [measured, model]
     complete = Curve(t, _numbers(whole["simulated"]), "curve-1", Pen.DASHED, "all terms")
     return [measured, complete, model]
+
+
+def _measured(channel: Channel) -> Curve:
+    measured = _numbers(channel["measured"])
+    return Curve(np.array(channel["t"]), measured, "curve-measured", Pen.DOTS, "measured")
+
+
+def _lettered(names: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Names with a letter each, as in a comparison: those of files are too long for a legend."""
+    yield from zip(ascii_uppercase, names, strict=False)
 
 
 def _errors(whole: Channel, chosen: Channel) -> str:
@@ -160,5 +260,5 @@ def _error(channel: Channel) -> str:
     return "unknown" if channel["rmse"] is None else f"{channel['rmse']:.3g} {channel['unit']}"
 
 
-def _numbers(values: list[float | None]) -> Any:
+def _numbers(values: list[float | None]) -> FloatArray:
     return np.array([np.nan if value is None else value for value in values])

@@ -18,7 +18,7 @@ from labhil.campaign.studies.curves import read_curves
 from labhil.campaign.studies.jobs import Job, Jobs
 from labhil.campaign.studies.study import Task
 from labhil.tui.messages import StudyWanted
-from labhil.tui.overlay import OverlayScreen
+from labhil.tui.overlay import ModelsScreen, OverlayScreen
 from labhil.tui.plot import Chart
 from labhil.tui.recording_library import ResultFile, results
 from labhil.tui.result_files import (
@@ -63,7 +63,7 @@ class ResultsPane(Vertical):
             "overlay",
             "Overlay",
             id="result.overlay",
-            tooltip="Switch each term on and off over the measurement",
+            tooltip="The marked models, or each term of the chosen one, on and off over the measurement",
         ),
         Binding(
             "space",
@@ -268,10 +268,11 @@ class ResultsPane(Vertical):
         if action == "charts":
             there = self.is_mounted and self._chosen_file() is not None
             return there and self.screen.has_class("-narrow")
+        several = len(self._to_compare()) > 1
         if action in ("overlay", "mark"):
-            return self.is_mounted and self._chosen_file() is not None
+            return self.is_mounted and (self._chosen_file() is not None or (several and action == "overlay"))
         if action == "compare":
-            return len(self._to_compare()) > 1
+            return several
         if action in ("cancel", "end"):
             job = self._job(self._chosen()) if self.is_mounted else None
             at_work = job is not None and job.state == "at work"
@@ -301,16 +302,23 @@ class ResultsPane(Vertical):
     def action_compare(self) -> None:
         """Compare the marked models over the recording that the first was judged on."""
         paths = self._to_compare()
-        if len(paths) > MOST_COMPARED:
-            self.app.notify(f"At most {MOST_COMPARED} models are compared at once.", severity="warning")
-        elif len(paths) > 1:
+        if len(paths) > 1 and not self._too_many(paths):
             self.post_message(StudyWanted(Task("compare", tuple(paths))))
             self._marked.clear()
 
+    def _too_many(self, paths: Sequence[Path]) -> bool:
+        """Whether these are more than fit side by side, which is said."""
+        if len(paths) > MOST_COMPARED:
+            self.app.notify(f"At most {MOST_COMPARED} models are compared at once.", severity="warning")
+        return len(paths) > MOST_COMPARED
+
     def action_overlay(self) -> None:
-        """Show measurement and model, each term to be switched on and off."""
-        path = self._chosen_file()
-        if path is not None:
+        """Show measurement and the marked models, or the chosen one with each of its terms, on and off."""
+        path, marked = self._chosen_file(), self._to_compare()
+        if len(marked) > 1:
+            if not self._too_many(marked):
+                self.app.push_screen(ModelsScreen(marked))
+        elif path is not None:
             self.app.push_screen(OverlayScreen(path))
 
     def action_charts(self) -> None:

@@ -23,7 +23,7 @@ from labhil.tui import lab as labs
 from labhil.tui import shadow
 from labhil.tui.analysis import AnalysisDialog
 from labhil.tui.app import LabApp
-from labhil.tui.overlay import OverlayScreen
+from labhil.tui.overlay import ModelsScreen, OverlayScreen
 from labhil.tui.shadow import ShadowView
 from labhil.tui.themes import DARK, LIGHT
 
@@ -124,6 +124,16 @@ async def marked(pilot: Pilot[None], app: LabApp) -> None:
     await keys("5", "space", "down", "space")(pilot, app)
 
 
+async def models(pilot: Pilot[None], app: LabApp) -> None:
+    """What two models of one recording err by, looked at closely."""
+    await keys("5", "space", "down", "space", "o")(pilot, app)
+    screen = app.screen
+    assert isinstance(screen, ModelsScreen)
+    while screen.shown is None:
+        await pilot.pause(SETTLED)
+    await keys("d", "tab", "plus", "plus")(pilot, app)
+
+
 async def palette(pilot: Pilot[None], _app: LabApp) -> None:
     """With the first experiment's plan read: what the palette offers depends on it."""
     await pilot.press("3")
@@ -149,6 +159,7 @@ SHOWN: dict[str, Go] = {
     "verify": keys("4", "v"),
     "analysis": analysis,
     "overlay": overlay,
+    "models": models,
     "cursor": cursor,
     "keys": keys("4", "question_mark"),
     "palette": palette,
@@ -169,6 +180,7 @@ DOCUMENTED = {
     "verify-80x24": "verify",
     "analysis-80x24": "analysis",
     "overlay-160x50": "overlay",
+    "models-160x50": "models",
     "keys-80x24": "keys",
     "palette-80x24": "palette",
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -21,7 +22,8 @@ from labhil.recording.reader import read_recording
 from labhil.tui.app import LabApp
 from labhil.tui.dialogs import Choose, Tell
 from labhil.tui.lab import Session
-from labhil.tui.overlay import OverlayScreen
+from labhil.tui.overlay import ModelsScreen, OverlayScreen
+from labhil.tui.plot import Plot
 
 PATIENCE = 100.0
 LABHIL = (sys.executable, "-P", "-m", "labhil")
@@ -79,6 +81,32 @@ def test_terms_are_switched_over_the_measurement(folder: Path) -> None:
         await pilot.press("a")
         await until(pilot, lambda: screen.shown == frozenset())
         assert str(errors.content) == whole
+        await pilot.press("escape")
+        assert app.screen is not screen
+
+    work(folder, drive)
+
+
+def test_marked_models_are_switched_over_one_recording(folder: Path) -> None:
+    async def drive(pilot: Pilot[None], app: LabApp) -> None:
+        await pilot.press("5")
+        await until(pilot, lambda: app.query_one("#results-table", DataTable).row_count == 2)
+        await pilot.press("space", "down", "space", "o")
+        screen = app.screen
+        assert isinstance(screen, ModelsScreen)
+        await until(pilot, lambda: screen.shown == {"A", "B"})
+        legend = screen.query_one(".chart-title", Static)
+        errors = str(screen.query_one("#overlay-errors", Static).content)
+        assert re.fullmatch(r"ball_position: RMSE A 0\.000\d+ m, B 0\.000\d+ m", errors), errors
+        assert re.findall(r"measured|[AB]", str(legend.content)) == ["measured", "A", "B"]
+        await pilot.press("space")
+        await until(pilot, lambda: screen.shown == {"B"})
+        assert re.findall(r"measured|[AB]", str(legend.content)) == ["measured", "B"]
+        await pilot.press("d")
+        await until(pilot, lambda: str(legend.content).startswith("ball_position, less measured, m"))
+        low, high = screen.query_one(Plot).view[1]
+        assert -0.005 < low < 0.0 < high < 0.005
+        assert "2 models over ball_beam_test.mcap" in str(screen.query_one("#overlay-title", Static).content)
         await pilot.press("escape")
         assert app.screen is not screen
 

@@ -1,17 +1,21 @@
-"""The model of a result beside the measurement, with terms switched off, in a process of its own.
+"""Models of results beside the measurement, in a process of its own.
 
-``python -m labhil.campaign.studies.overlay`` is told the path of a result in one line. It answers with the
-terms of its model and the curves of all of them, then with the curves for each further line
-``{"without": [TERM, …]}``; of lines that come faster than it can simulate it answers the newest.
+``python -m labhil.campaign.studies.overlay`` is told the path of a result in one line, ``{"result": PATH}``.
+It answers with the terms of its model and the curves of all of them, then with the curves for each further
+line ``{"without": [TERM, …]}``; of lines that come faster than it can simulate it answers the newest.
+
+Told ``{"results": [PATH, …]}`` it answers with the curves of each one's model over the recording that the
+first was judged on, and ends.
 """
 
 from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from queue import Empty, Queue
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
@@ -65,34 +69,73 @@ def _plain(values: FloatArray) -> list[float | None]:
     return [float(f"{value:.6g}") if np.isfinite(value) else None for value in values.tolist()]
 
 
+def simulated_models(paths: Sequence[Path]) -> dict[str, Any]:
+    """Return the curves of each output under each result's model, over the first one's recording.
+
+    A model that has no such output, or none that is measured there, leaves it out.
+    """
+    results = [_loaded(path) for path in paths]
+    recording = _judged_on(paths[0], results[0])
+    channels: dict[str, dict[str, Any]] = {}
+    for number, result in enumerate(results):
+        for channel in simulated_without(result, recording, ())["channels"]:
+            there = channels.setdefault(
+                channel["name"],
+                {"name": channel["name"], "unit": channel["unit"], "t": channel["t"],
+                 "measured": channel["measured"], "models": []},
+            )  # fmt: skip
+            there["models"].append({"number": number, **{k: channel[k] for k in ("t", "simulated", "rmse")}})
+    names = [path.name for path in paths]
+    return {"recording": recording.name, "models": names, "channels": list(channels.values())}
+
+
+def _loaded(path: Path) -> Fit | Diagnosis:
+    from labhil.api.diagnosis import Diagnosis
+    from labhil.api.fit import Fit
+    from labhil.api.saved import load
+
+    result = load(path)
+    if not isinstance(result, (Fit, Diagnosis)):
+        found = type(result).__name__.lower()
+        raise ModelFileError(f"{path}: expected a fit or a diagnosis, found a {found}")
+    return result
+
+
+def _judged_on(path: Path, result: Fit | Diagnosis) -> Path:
+    """The recording that a result was tested on, or the one that it was fitted to."""
+    tests = [source for source in result.recordings if source.role == "test"]
+    return recording_of(path, (tests or list(result.recordings))[0].path)
+
+
 def main() -> int:
     """Run the process; returns its exit status."""
-    path = Path(str(told_first()["result"]))
+    told = told_first()
     wanted: Queue[tuple[str, ...]] = Queue()
     on_further_lines(lambda line: wanted.put(tuple(map(str, line.get("without", ())))), lambda: os._exit(0))
     try:
-        from labhil.analysis.results import terms_of
-        from labhil.api.diagnosis import Diagnosis
-        from labhil.api.fit import Fit
-        from labhil.api.saved import load
-
-        result = load(path)
-        if not isinstance(result, (Fit, Diagnosis)):
-            found = type(result).__name__.lower()
-            raise ModelFileError(f"{path}: expected a fit or a diagnosis, found a {found}")
-        tests = [source for source in result.recordings if source.role == "test"]
-        recording = recording_of(path, (tests or list(result.recordings))[0].path)
-        say({"terms": list(terms_of(result.saved)), **simulated_without(result, recording, ())})
-        while True:
-            without = wanted.get()
-            try:
-                while True:
-                    without = wanted.get_nowait()
-            except Empty:
-                say(simulated_without(result, recording, without))
+        if "results" in told:
+            say(simulated_models([Path(str(path)) for path in told["results"]]))
+            return 0
+        _answer_each(Path(str(told["result"])), wanted)
     except LabhilError as error:
         say({"failed": str(error)})
         return error.exit_status
+
+
+def _answer_each(path: Path, wanted: Queue[tuple[str, ...]]) -> NoReturn:
+    """Say the curves under all terms, then those without the terms of each line, until the process ends."""
+    from labhil.analysis.results import terms_of
+
+    result = _loaded(path)
+    recording = _judged_on(path, result)
+    say({"terms": list(terms_of(result.saved)), **simulated_without(result, recording, ())})
+    while True:
+        without = wanted.get()
+        try:
+            while True:
+                without = wanted.get_nowait()
+        except Empty:
+            say(simulated_without(result, recording, without))
 
 
 if __name__ == "__main__":
