@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import html
 import io
 import json
 import re
@@ -15,6 +18,7 @@ import numpy as np
 import pytest
 from rich.console import Console, RenderableType
 
+import labhil
 from labhil.analysis.results import _rows, finite
 from labhil.analysis.schema import DiagnosisPart, FitPart, checked
 from labhil.analysis.verdicts import VERDICTS
@@ -32,6 +36,7 @@ from labhil.report.text import diagnosis_text
 from labhil.signals import Batch, Direction, Signal, Stream
 from labhil.tui.result_text import result_renderable
 
+SCRIPT = Path(labhil.__file__).parent / "report" / "html" / "zoom.js"
 EVIL = '<script>alert("x")</script>&$a_b'
 VOID = {"meta", "br", "hr", "img", "col", "wbr"}
 
@@ -70,11 +75,17 @@ class Outline(HTMLParser):
 
 
 def outlined(text: str) -> Outline:
-    """Return a page's outline; it must be one that needs nothing from elsewhere and runs nothing."""
+    """Return a page's outline; it must be one that needs nothing from elsewhere and runs our script only."""
     page = Outline(text)
     assert text.startswith("<!DOCTYPE html>")
     assert [name for name, _ in page.tags].count("h1") == 1
-    assert not {"script", "link", "iframe", "object"} & {name for name, _ in page.tags}
+    assert not {"link", "iframe", "object"} & {name for name, _ in page.tags}
+    (script,) = re.findall(r"<script.*?</script>", text, re.DOTALL)
+    ours = SCRIPT.read_text(encoding="utf-8")
+    assert script == f"<script>{ours}</script>"
+    (policy,) = [a["content"] for n, a in page.tags if a.get("http-equiv") == "Content-Security-Policy"]
+    digest = base64.b64encode(hashlib.sha256(ours.encode()).digest()).decode()
+    assert html.unescape(policy or "").endswith(f"; script-src 'sha256-{digest}'")
     for name, attributes in page.tags:
         assert not any(key.startswith("on") for key in attributes), name
         for key in ("src", "href", "xlink:href"):

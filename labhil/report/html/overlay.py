@@ -1,6 +1,6 @@
 """Several models over one measurement, each of which the reader can switch on and off.
 
-The pages run no scripts: a legend entry is a checkbox, and the page's style hides what belongs to one that
+Without a script, too: a legend entry is a checkbox, and the page's style hides what belongs to one that
 is not checked. Lines carry the number of their model in their identifier, ``…-model-2-…``.
 """
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -10,8 +12,8 @@ from labhil.report.html.element import Content, Markup, joined, tag
 from labhil.version import __version__
 from labhil.whole import whole
 
-POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
-"""What a browser may load for a page: nothing from anywhere, and no scripts."""
+POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; script-src {script}"
+"""What a browser may load for a page: nothing from anywhere, and our own script, known by its digest."""
 
 FEWEST_FOR_CONTENTS = 4
 
@@ -38,16 +40,19 @@ class Page:
 
     def html(self) -> str:
         """The whole file."""
+        script = _file("zoom.js")
         head = tag(
             "head",
             tag("meta", charset="utf-8"),
             tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
-            tag("meta", http_equiv="Content-Security-Policy", content=POLICY),
+            tag("meta", http_equiv="Content-Security-Policy", content=POLICY.format(script=_digest(script))),
             tag("meta", name="color-scheme", content="light dark"),
             tag("title", self.title),
-            tag("style", _style()),
+            tag("style", Markup(_file("style.css"))),
         )
-        body = tag("body", _header(self), tag("main", *_body(self)), _footer(self))
+        body = tag(
+            "body", _header(self), tag("main", *_body(self)), _footer(self), tag("script", Markup(script))
+        )
         return f"<!DOCTYPE html>\n{tag('html', head, body, lang='en-GB').text}\n"
 
 
@@ -96,5 +101,10 @@ def _footer(page: Page) -> Markup:
     return tag("footer", tag("p", joined((page.foot, f" Written by labhil {__version__}."))))
 
 
-def _style() -> Markup:
-    return Markup((files("labhil.report.html") / "style.css").read_text(encoding="utf-8"))
+def _file(name: str) -> str:
+    return (files("labhil.report.html") / name).read_text(encoding="utf-8")
+
+
+def _digest(script: str) -> str:
+    digest = hashlib.sha256(script.encode()).digest()
+    return f"'sha256-{base64.b64encode(digest).decode()}'"

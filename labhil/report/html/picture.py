@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import re
 import warnings
 from collections.abc import Callable
@@ -11,10 +12,12 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 
 from labhil.report.html.element import Markup, clean, tag
+from labhil.signals import FloatArray
 
 SETTINGS: dict[Any, Any] = {
     "svg.fonttype": "none",  # text stays text: small, sharp, found by a search
@@ -28,6 +31,9 @@ MOST_DOTS = 500
 
 LONGEST_LABEL = 72
 """Characters at an axis; a longer text leaves no room for the picture beside it."""
+
+PLACES = 65
+"""Along an axis that is not linear, at which its values are told."""
 
 LONG_DECIMAL = re.compile(r"(\.\d\d)\d+")
 
@@ -53,14 +59,47 @@ def _svg(figure: Figure, prefix: str, title: str) -> Markup:
         for dots in axes.collections:
             if isinstance(dots, PathCollection):
                 dots.set_rasterized(np.asarray(dots.get_offsets()).shape[0] > MOST_DOTS)
+    for number, axes in enumerate(figure.axes):
+        axes.set_gid(f"plot_{number}")
     file = io.StringIO()
     figure.savefig(file, format="svg", dpi=150, metadata=NO_METADATA)
     drawn = file.getvalue()
     drawn = drawn[drawn.index("<svg") :]
     drawn = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", drawn, count=1)
     drawn = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", drawn, count=1)
-    label = tag("svg", role="img", aria_label=title).text.removeprefix("<svg").removesuffix("></svg>")
+    plots = [_place(figure, axes, f"{prefix}plot_{k}") for k, axes in enumerate(figure.axes) if axes.axison]
+    label = tag("svg", role="img", aria_label=title, data_axes=json.dumps(plots)).text
+    label = label.removeprefix("<svg").removesuffix("></svg>")
     return Markup(_prefixed(_slim(drawn.replace("<svg", f"<svg{label}", 1)), prefix))
+
+
+def _place(figure: Figure, axes: Axes, gid: str) -> dict[str, Any]:
+    """Where a plot stands in its drawing, in points from the upper left, and what its axes say there."""
+    width, height = 72.0 * figure.get_size_inches()
+    box = axes.get_position()
+    left, top = box.x0 * width, (1.0 - box.y1) * height
+    wide, high = box.width * width, box.height * height
+    shares = np.linspace(0.0, 1.0, PLACES)
+    inverse = axes.transAxes + axes.transData.inverted()
+    across = inverse.transform(np.column_stack([shares, np.zeros(PLACES)]))[:, 0]
+    upward = inverse.transform(np.column_stack([np.zeros(PLACES), 1.0 - shares]))[:, 1]
+    return {
+        "id": gid,
+        "left": round(left, 2),
+        "top": round(top, 2),
+        "width": round(wide, 2),
+        "height": round(high, 2),
+        "x": {"label": axes.get_xlabel(), **_table(left + shares * wide, across)},
+        "y": {"label": axes.get_ylabel(), **_table(top + shares * high, upward)},
+    }
+
+
+def _table(places: FloatArray, values: FloatArray) -> dict[str, list[float]]:
+    """Places (points) and the values there; the ends alone of what is straight between."""
+    straight = np.interp(places, places[[0, -1]], values[[0, -1]])
+    if np.allclose(values, straight, rtol=0.0, atol=1e-9 * np.ptp(values)):
+        places, values = places[[0, -1]], values[[0, -1]]
+    return {"at": np.round(places, 2).tolist(), "values": [float(f"{value:.9g}") for value in values]}
 
 
 def _slim(svg: str) -> str:
