@@ -107,7 +107,8 @@
       for (const tick of drawn ? drawn.querySelectorAll(`[id*="${name}tick_"]`) : []) {
         tick.style.display = axis.isWhole ? "" : "none";
       }
-      if (axis.isWhole) return;
+      // a plot over another one has no labels of its own
+      if (axis.isWhole || !drawn || !drawn.querySelector(`[id*="${name}tick_"] text`)) return;
       const ends = [axis.value(axis.first), axis.value(axis.last)].sort((a, b) => a - b);
       for (const [value, text] of nice(...ends, TICKS[name])) {
         const place = axis.shown(axis.place(value));
