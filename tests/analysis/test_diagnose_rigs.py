@@ -81,7 +81,7 @@ def test_where_nothing_is_concealed_nothing_is_found(kind):
         pytest.param("dc_motor", ("brush_drop",), "electrical", marks=pytest.mark.extended),
         pytest.param("axis", ("stribeck_friction",), "force", marks=pytest.mark.extended),
         pytest.param("solenoid", ("coulomb_friction",), "force", marks=pytest.mark.extended),
-        pytest.param("solenoid", ("magnetic_hysteresis",), "magnetic", marks=pytest.mark.extended),
+        pytest.param("solenoid", ("magnetic_hysteresis",), "magnetic", marks=pytest.mark.long),
     ],
 )
 def test_what_is_concealed_is_named_located_and_modelled(kind, concealed, enters):

@@ -273,7 +273,7 @@ def test_forward_steps_name_a_strong_effect_and_are_scored(tmp_path):
     assert sum(card.confusion.values()) >= 3
 
 
-@pytest.mark.extended
+@pytest.mark.long
 def test_the_benchmark_counts_nulls_and_effects_together(tmp_path):
     given = ["trial", "benchmark", "axis", "--trials", "1", "--seed", "3", "-o", str(tmp_path / "all")]
     path = tmp_path / "score.json"

@@ -174,9 +174,9 @@ def diagnosed(labhil, tmp_path, name):
     return found, {(missing["term"], missing["joint"]): missing for missing in found["missing"]}
 
 
-@pytest.mark.extended
+@pytest.mark.long
 @pytest.mark.timeout(1200)
-@pytest.mark.parametrize("loaded", [pytest.param(LOADED, marks=pytest.mark.long), LOADED_AGAIN])
+@pytest.mark.parametrize("loaded", [LOADED, LOADED_AGAIN])
 def test_a_load_that_nobody_told_of_is_found_to_a_few_per_cent(labhil, tmp_path, loaded):
     """The robot carries 2.805 kg that neither its controller nor the model knows of."""
     found, terms = diagnosed(labhil, tmp_path, loaded)

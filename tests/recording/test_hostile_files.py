@@ -150,7 +150,7 @@ def test_a_spoilt_recording_is_read_or_refused(tmp_path):
     spoil_recordings(tmp_path, 100)
 
 
-@pytest.mark.extended
+@pytest.mark.long
 @pytest.mark.timeout(600)
 def test_many_spoilt_recordings_are_read_or_refused(tmp_path):
     spoil_recordings(tmp_path, 4000)

@@ -60,7 +60,7 @@ def test_a_notebook_is_named_and_has_no_outputs(name):
     assert [cell for cell in cells if cell["outputs"] or cell["execution_count"] is not None] == []
 
 
-@pytest.mark.extended
+@pytest.mark.long
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("name", NOTEBOOKS)
 def test_the_notebook_runs_from_its_first_cell_to_its_last(name, folder):

@@ -80,7 +80,7 @@ def test_what_is_fitted_is_what_the_fmu_does(tmp_path: Path, version: int, kinds
 @pytest.mark.extended
 @pytest.mark.parametrize(
     ("version", "kinds"),
-    [pytest.param(*each, marks=pytest.mark.long if each == (2, "cs") else ()) for each in EVERY],
+    [pytest.param(*each, marks=pytest.mark.long if each[1] == "cs" else ()) for each in EVERY],
 )
 def test_a_fit_finds_the_plant(tmp_path: Path, version: int, kinds: str) -> None:
     rod = lh.fmu_simulator(built(tmp_path, version=version, kinds=kinds))
@@ -94,7 +94,7 @@ def test_a_fit_finds_the_plant(tmp_path: Path, version: int, kinds: str) -> None
     assert ("angle_start" in notes) == (kinds == "cs")  # what only starts model exchange is no parameter
 
 
-@pytest.mark.extended
+@pytest.mark.long
 def test_a_diagnosis_from_a_rig_file_names_what_the_fmu_lacks(tmp_path: Path) -> None:
     path = built(tmp_path, version=3)
     rig = tmp_path / "rig.toml"
