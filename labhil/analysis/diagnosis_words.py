@@ -59,7 +59,7 @@ def _of_missing_physics(found: DiagnosisPart) -> Steps:
             "No law of the catalogue has the shape of the curve: use it as a table, or write the law that you"
             " think it is (docs/how-to/add-a-law.md) and diagnose again."
         )
-    if found.remainder is not None:
+    if found.remainder is not None and not found.remainder.is_noise:
         yield (
             f"More than noise remains: `labhil fit {_path(found)} --terms"
             f" {','.join(listed(found.final.terms))}` shows where in time."

@@ -28,12 +28,14 @@ class Remainder:
         noise_floors: RMSE that remains there, over the noise floor.
         channel: that output.
         joint: its joint, of an arm.
+        is_noise: whether nothing remains but noise.
         regimes: stretches of a coordinate that hold most of what remains.
         statement: the same in one or two sentences.
     """
 
     explained: float
     noise_floors: float
+    is_noise: bool
     channel: str
     joint: int | None
     regimes: tuple[Regime, ...]
@@ -64,9 +66,10 @@ def find_remainder(
     channel = after.channels[worst]
     explained = float(np.clip(1.0 - left[worst] / excess[worst], 0.0, 1.0))
     floors = channel.rmse / channel.noise_floor
-    places = _places(model, theta, HeldOut(held_out, before, after), worst) if floors > NOISE else ()
+    is_noise = floors <= NOISE
+    places = () if is_noise else _places(model, theta, HeldOut(held_out, before, after), worst)
     statement = _statement(names, explained, floors, keyed(channel.channel, channel.joint), places)
-    return Remainder(explained, floors, channel.channel, channel.joint, places, statement)
+    return Remainder(explained, floors, is_noise, channel.channel, channel.joint, places, statement)
 
 
 def _places(model: Model, theta: FloatArray, seen: HeldOut, worst: int) -> tuple[Regime, ...]:

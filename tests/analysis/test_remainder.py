@@ -54,6 +54,7 @@ def test_a_name_that_explains_everything_leaves_noise(rig):
     found = remainder(rig, recorded(rig, lambda along: 0.0))
     assert found.explained > 0.99
     assert found.noise_floors < 1.1
+    assert found.is_noise
     assert found.regimes == ()
     assert found.statement.startswith("coulomb_friction explains 100 % of the error in ball_position")
     assert found.statement.endswith("what remains is noise.")
@@ -66,6 +67,7 @@ def test_what_remains_is_told_with_its_size_and_its_place(rig):
     found = remainder(rig, recorded(rig, bump))
     assert 0.5 < found.explained < 0.9999
     assert found.noise_floors > 1.5
+    assert not found.is_noise
     assert {regime.coordinate for regime in found.regimes} == {"ball_velocity"}
     assert any(regime.low < 0.0 < regime.high for regime in found.regimes)
     assert "noise floors remain" in found.statement

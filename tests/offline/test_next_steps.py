@@ -10,7 +10,7 @@ import pytest
 
 import labhil as lh
 from labhil.analysis.diagnosis_words import UNNAMED
-from labhil.analysis.schema.diagnosis import DiagnosisPart, Rival, Verdict
+from labhil.analysis.schema.diagnosis import DiagnosisPart, Remainder, Rival, Verdict
 from labhil.identify.extended import NAME
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "diagnosis.json"
@@ -82,3 +82,16 @@ def test_what_has_no_size_is_not_put_into_a_simulation(example):
     put, known, *_ = found.next_steps
     assert first.term not in put
     assert known.startswith(f"Of {first.term} these data know the kind")
+
+
+@pytest.mark.parametrize("is_noise", [True, False])
+def test_more_than_noise_is_said_to_remain_where_more_remains(example, is_noise):
+    rest = Remainder(
+        explained=0.99,
+        noise_floors=0.99 if is_noise else 3.0,
+        is_noise=is_noise,
+        channel="ball_position",
+        statement="as said",
+    )
+    steps = example.model_copy(update={"remainder": rest}).next_steps
+    assert any("More than noise remains" in step for step in steps) is not is_noise

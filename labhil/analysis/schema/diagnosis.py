@@ -247,6 +247,7 @@ class Remainder(Part):
     Attributes:
         explained: Share of the squared error beyond the noise that is gone, of the worst output.
         noise_floors: RMSE that remains there, over the noise floor.
+        is_noise: Whether nothing remains but noise.
         channel: That output.
         joint: Its joint, from 0, of an arm.
         regimes: Ranges of a coordinate that hold most of what remains.
@@ -255,6 +256,7 @@ class Remainder(Part):
 
     explained: Number
     noise_floors: Number
+    is_noise: bool = False
     channel: str
     joint: int | None = None
     regimes: tuple[Regime, ...] = ()
