@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 
+from labhil.cores import side_by_side
 from labhil.identify import statistics
 from labhil.identify.adequacy import EXPLAINED_TO
 from labhil.identify.least_squares import TOLERANCE, Solution, least_squares, settle
@@ -176,23 +177,20 @@ def _best_scout(
 ) -> tuple[Problem, Solution]:
     """The best fit of ``limit`` steps from where each problem begins; of many only the better go so far."""
     many = len(problems) > LED_ON
-    scouts = []
-    for problem in problems:
+    go = partial(least_squares, tolerance=tolerance, thorough=False)
+
+    def begun(problem: Problem) -> tuple[Problem, Solution]:
         begin = problem.start() if states is None else Point(problem.start().z, states)
-        steps, settled = FIRST_ITERATIONS if many else limit, states is not None
-        found = least_squares(
-            problem, begin, iterations=steps, tolerance=tolerance, settled=settled, thorough=False
-        )
-        scouts.append((problem, found))
-    scouts.sort(key=lambda scout: scout[1].cost)
+        steps = FIRST_ITERATIONS if many else limit
+        return problem, go(problem, begin, iterations=steps, settled=states is not None)
+
+    def led_on(scout: tuple[Problem, Solution]) -> tuple[Problem, Solution]:
+        problem, found = scout
+        return problem, go(problem, found.point, iterations=limit - FIRST_ITERATIONS, settled=True)
+
+    scouts = sorted(side_by_side(begun, problems), key=lambda scout: scout[1].cost)
     if many:
-        steps = limit - FIRST_ITERATIONS
-        scouts = [
-            (problem, least_squares(
-                problem, found.point, iterations=steps, tolerance=tolerance, settled=True, thorough=False
-            ))
-            for problem, found in scouts[:LED_ON]
-        ]  # fmt: skip
+        scouts = list(side_by_side(led_on, scouts[:LED_ON]))
     return min(scouts, key=lambda scout: scout[1].cost)
 
 

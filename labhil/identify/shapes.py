@@ -8,11 +8,12 @@ them are let go. What ends elsewhere and explains the data about as well is a ri
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from labhil.cores import side_by_side
 from labhil.identify.fitted import ON_THE_WAY, Fitted, covariances
 from labhil.identify.least_squares import Solution, least_squares
 from labhil.identify.problem import Point, Problem
@@ -83,12 +84,11 @@ def _scanned(fitted: Fitted, j: int, values: FloatArray) -> Iterator[Fitted]:
     """Where the fit ends from the most promising ``values`` (SI) of free parameter ``j``."""
     problem, solution = fitted.problem, fitted.solution
     begin = Point(_without_amplitude(problem, solution.point.z, j), solution.point.states)
-    held = [_held_at(problem, begin, j, float(value), AT_FIRST) for value in values]
+    held = _held(problem, [(begin, value) for value in values.tolist()], j, AT_FIRST)
     better = sorted(held, key=lambda found: found.cost)[: (len(held) + 1) // 2]
     scale = problem.scale[j]
-    held = [
-        _held_at(problem, trial.point, j, float(trial.point.z[j] * scale), AFTERWARDS) for trial in better
-    ]
+    again = [(trial.point, float(trial.point.z[j] * scale)) for trial in better]
+    held = _held(problem, again, j, AFTERWARDS)
     for trial in sorted(held, key=lambda found: found.cost)[:LET_GO]:
         let_go = least_squares(
             problem, trial.point, iterations=30, tolerance=ON_THE_WAY, settled=True, thorough=False
@@ -110,16 +110,22 @@ def _without_amplitude(problem: Problem, z: FloatArray, j: int) -> FloatArray:
     return begin
 
 
-def _held_at(problem: Problem, begin: Point, j: int, value: float, iterations: int) -> Solution:
-    """All but free parameter ``j`` refitted a little, that one held at ``value`` (SI); as a point of all."""
+def _held(problem: Problem, begins: Sequence[tuple[Point, float]], j: int, iterations: int) -> list[Solution]:
+    """What each of these begins with its value of free parameter ``j`` (SI) leads to; points of all."""
+    found = list(side_by_side(lambda begin: _held_at(problem, *begin, j, iterations), begins))
+    problem.evaluations += sum(evaluations for _, evaluations in found)
+    return [solution for solution, _ in found]
+
+
+def _held_at(problem: Problem, begin: Point, value: float, j: int, iterations: int) -> tuple[Solution, int]:
+    """All but free parameter ``j`` refitted a little, that one held at ``value`` (SI); and simulations."""
     theta = problem.theta(begin.z)
     theta[problem.free[j]] = value
     pinned = problem.pinned(np.array([j]), theta)
     start = Point(np.delete(begin.z, j), begin.states)
     found = least_squares(pinned, start, iterations=iterations, settled=True, thorough=False)
     whole = np.insert(found.point.z, j, value / problem.scale[j])
-    problem.evaluations += pinned.evaluations
-    return replace(found, point=Point(whole, found.point.states))
+    return replace(found, point=Point(whole, found.point.states)), pinned.evaluations
 
 
 def _rivals(best: Fitted, found: list[Fitted]) -> Iterator[Fitted]:

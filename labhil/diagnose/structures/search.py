@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from labhil.cores import side_by_side
 from labhil.diagnose.judge import Data
 from labhil.diagnose.refit import without
 from labhil.diagnose.structures.enumerate import (
@@ -155,7 +156,7 @@ class StructureSearch:
         for size in range(1, len(before)):
             likely = [p for s, p in state.predicted.items() if len(s) == size and s not in state.refitted]
             if likely:
-                self._refit_predicted(state, max(likely, key=lambda p: p.log_evidence))
+                self._refit_predicted(state, [max(likely, key=lambda p: p.log_evidence)])
             known = [s for s in state.refitted if len(s) == size]
             if known and self._look_beside(state, max(known, key=lambda s: state.refitted[s].log_evidence)):
                 return True
@@ -177,7 +178,7 @@ class StructureSearch:
         if longer:  # those that stand out from here by one more term, what that builds on included
             fewest = min(len(p.structure) for p in longer)
             beside = [p for p in longer if len(p.structure) == fewest]
-            self._refit_predicted(state, max(beside, key=lambda p: p.log_evidence))
+            self._refit_predicted(state, [max(beside, key=lambda p: p.log_evidence)])
         self._refit_promising(state, with_disturbance)
         return state.likeliest != before
 
@@ -186,11 +187,8 @@ class StructureSearch:
         near = state.refitted[frozenset()].fitted
         if near.noise < OUTWEIGHED:
             return
-        for terms in candidates(self.data.model, self.baseline):
-            structure = frozenset(terms)
-            if structure not in state.refitted:
-                self.progress(f"refitting {', '.join(terms)}")
-                self._refit_and_enter(state, near, structure, state.values_of(structure))
+        singles = [frozenset(terms) for terms in candidates(self.data.model, self.baseline)]
+        self._refit_each(state, near, [each for each in singles if each not in state.refitted])
 
     def _drop_irrelevant(self, state: SearchState) -> None:
         """Refit the likeliest structure without its terms that explain too little, the least one first."""
@@ -236,8 +234,7 @@ class StructureSearch:
         new = [p for s, p in state.predicted.items() if s not in state.refitted and evidence(p) > least]
         possible = [p for p in new if len(p.structure) <= self._most_terms(state)]
         waiting = sorted(possible, key=evidence, reverse=True)[: self.options.refits]
-        for predicted in waiting:
-            self._refit_predicted(state, predicted)
+        self._refit_predicted(state, waiting)
 
     def _most_terms(self, state: SearchState) -> float:
         """How many terms a structure may have to be refitted."""
@@ -246,18 +243,29 @@ class StructureSearch:
         near = state.view.responses.fitted
         return len(frozenset(near.terms) - frozenset(self.baseline)) + self.options.few
 
-    def _refit_predicted(self, state: SearchState, predicted: Predicted) -> None:
-        """Refit a structure from the fit where it was predicted, with the values that it has there."""
-        self.progress(f"refitting {', '.join(sorted(predicted.structure)) or 'the baseline'}")
+    def _refit_predicted(self, state: SearchState, predicted: Sequence[Predicted]) -> None:
+        """Refit structures from the fit where they were predicted, with the values that they have there."""
         assert state.view is not None
-        near = state.view.responses.fitted
-        self._refit_and_enter(state, near, predicted.structure, state.values_of(predicted.structure))
+        self._refit_each(state, state.view.responses.fitted, [each.structure for each in predicted])
+
+    def _refit_each(self, state: SearchState, near: Fitted, structures: Sequence[Structure]) -> None:
+        """Refit structures from one fit, side by side, with the values that they are predicted to have."""
+        values = [state.values_of(structure) for structure in structures]
+        for structure in structures:
+            self.progress(f"refitting {', '.join(sorted(structure)) or 'the baseline'}")
+        fits = side_by_side(lambda pair: self._refit(near, *pair), list(zip(structures, values, strict=True)))
+        for fitted, begun in zip(fits, values, strict=True):
+            self._enter_best(state, fitted, begun)
 
     def _refit_and_enter(
         self, state: SearchState, near: Fitted, structure: Structure, values: Mapping[str, float]
     ) -> None:
         """Refit a structure from a fit nearby, and where a part of it fits better, from that one, too."""
-        fitted = self._refit(near, structure, values)
+        self._enter_best(state, self._refit(near, structure, values), values)
+
+    def _enter_best(self, state: SearchState, fitted: Fitted, values: Mapping[str, float]) -> None:
+        """Enter a fit, or where a part of its structure fits better, what is found from there."""
+        structure = frozenset(fitted.terms) - frozenset(self.baseline)
         parts = [r.fitted for s, r in state.refitted.items() if s < structure]
         best = min(parts, key=lambda part: part.solution.cost, default=fitted)
         if best.solution.cost < fitted.solution.cost:
