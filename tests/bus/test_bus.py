@@ -34,9 +34,10 @@ def bus():
 
 @pytest.fixture
 def bench(bus):
-    """A process that publishes and answers until it is killed."""
+    """A process that publishes and answers until it is killed, and that our end of the bus knows of."""
     with start(bus, "stand", "bench") as process:
         assert process.stdout.readline() == "ready\n"
+        ask(bus, command_key("bench", "set"), patience=20.0)
         yield process
         process.kill()
 
