@@ -134,7 +134,7 @@ class CurveSearch:
 
     def _view(self, fitted: Fitted, curves: Sequence[CurveColumns], coordinates: int) -> Enumeration:
         """What may be compared where a fit stands, a curve over one of so many coordinates among it."""
-        seen = responses(self.data, fitted, self.baseline, self.correlation, None, absent=(), curves=curves)
+        seen = responses(self.data, fitted, self.baseline, self.correlation, absent=(), curves=curves)
         candidates = len(self.data.model.terms) - len(self.baseline) + coordinates
         return Enumeration(self.data.model, seen, frozenset(self.baseline), candidates)
 

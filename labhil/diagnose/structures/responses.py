@@ -7,11 +7,11 @@ every structure, with or without them, is compared along one trajectory that fol
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from labhil.cores import side_by_side
 from labhil.diagnose.judge import Data
 from labhil.diagnose.structures.disturbance import Disturbance, inner_products
 from labhil.diagnose.structures.marginal import Grams
@@ -129,7 +129,6 @@ def responses(
     fitted: Fitted,
     baseline: Sequence[str],
     correlation: FloatArray,
-    executor: Executor | None,
     absent: Sequence[str] | None = None,
     curves: Sequence[CurveColumns] = (),
 ) -> Responses:
@@ -140,7 +139,6 @@ def responses(
         fitted: a fit of the baseline with or without further terms.
         baseline: keys of the terms that every structure has.
         correlation: (c,) of the noise of neighbouring samples of each output.
-        executor: runs simulations side by side.
         absent: keys of the terms that may be added; None for all that the model has.
         curves: forces over one coordinate each, which may be added too.
     """
@@ -154,8 +152,7 @@ def responses(
     target = solution.residuals - _explained(fitted, present)
     ways = [way for term in present for way in _as_curve(problem, term)]
     others = [key for key in data.model.terms if key not in fitted.terms] if absent is None else absent
-    mapped = map if executor is None else executor.map
-    for each in mapped(lambda key: _absent(problem, fitted, lin, key), others):
+    for each in side_by_side(lambda key: _absent(problem, fitted, lin, key), others):
         ways += each
     for curve in curves:
         columns = tuple(_Column("", 1.0, False, False, column) for column in curve.columns.T)

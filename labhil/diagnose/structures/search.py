@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -82,7 +81,6 @@ class StructureSearch:
     data: Data
     baseline: tuple[str, ...]
     correlation: FloatArray
-    executor: Executor
     progress: Progress
     options: Options = Options()
     nominal: Mapping[str, float] = field(default_factory=dict)
@@ -221,7 +219,7 @@ class StructureSearch:
 
     def _at(self, fitted: Fitted, absent: Sequence[str] | None = None) -> Enumeration:
         """What may be compared where a fit stands: its own terms, and all others or those ``absent``."""
-        seen = responses(self.data, fitted, self.baseline, self.correlation, self.executor, absent=absent)
+        seen = responses(self.data, fitted, self.baseline, self.correlation, absent=absent)
         return Enumeration(self.data.model, seen, frozenset(self.baseline), self.candidates)
 
     def _refit_promising(self, state: SearchState, evidence: Callable[[Evident], float]) -> None:

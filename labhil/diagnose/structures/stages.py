@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from labhil.cores import cores
+from labhil.cores import side_by_side
 from labhil.diagnose.collapsed import far_from_nominal
 from labhil.diagnose.judge import Data
 from labhil.diagnose.refit import on_windows
@@ -38,20 +38,17 @@ def search_structures(
     complete = True
     try:
         nominal = {size.key: size.nominal for size in far_from_nominal(data, baseline)}
-        with ThreadPoolExecutor(cores()) as executor:
-            for length in _lengths(data, options):
-                begin = [baseline]
-                if finished:
-                    begin = finished[-1].leading
-                    data, correlation = _in_noise_beside(data, finished[-1].best)
-                stage = replace(data, window=length)
-                begin = [on_windows(stage, fitted) for fitted in begin]
-                search = StructureSearch(
-                    stage, baseline.terms, correlation, executor, progress, options, nominal
-                )
-                finished.append(Stage(stage, search.run(begin)))
-                if finished[-1].best.noise > OUTWEIGHED:
-                    break
+        for length in _lengths(data, options):
+            begin = [baseline]
+            if finished:
+                begin = finished[-1].leading
+                data, correlation = _in_noise_beside(data, finished[-1].best)
+            stage = replace(data, window=length)
+            begin = list(side_by_side(partial(on_windows, stage), begin))
+            search = StructureSearch(stage, baseline.terms, correlation, progress, options, nominal)
+            finished.append(Stage(stage, search.run(begin)))
+            if finished[-1].best.noise > OUTWEIGHED:
+                break
     except EndedEarly:
         accept()
         complete = False
