@@ -45,7 +45,9 @@ def test_there_are_examples_and_the_readme_names_each():
 
 @pytest.mark.extended
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("name", SCRIPTS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.long if name == "diagnose.py" else ()) for name in SCRIPTS]
+)
 def test_the_script_runs(name, folder):
     done = run(f"examples/{name}", folder=folder)
     assert done.returncode == 0, done.stderr
