@@ -126,9 +126,9 @@ def balanced(seed: int, offset: float, seconds: float = 30.0) -> lh.Recording:
     return lh.recording(t, {"beam_angle": beam_angle}, {"ball_position": position}, rig="ball_beam")
 
 
-@pytest.mark.extended
+@pytest.mark.long
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_a_beam_angle_that_is_noisy_and_off_is_a_constant_push_not_a_dead_zone(seed: int):
     found = lh.diagnose(balanced(seed, 0.041), baseline=["viscous_friction"])
     assert "constant_force" in [effect.term for effect in found.missing]

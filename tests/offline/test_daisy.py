@@ -88,7 +88,7 @@ def the_gain_has_changed(found) -> None:
     assert changed["ci99"][0] < 4.2 < changed["ci99"][1]
 
 
-@pytest.mark.extended
+@pytest.mark.long
 def test_beside_a_random_force_evidence_tells_the_gain_and_that_more_is_left(labhil, recording):
     """Whether a delay is there beside the force that drives the ball, these data leave open."""
     rig = recording.with_name("nominal.toml")

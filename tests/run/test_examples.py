@@ -14,6 +14,8 @@ ROOT = Path(__file__).parents[2]
 SCRIPTS = sorted(path.name for path in (ROOT / "examples").glob("*.py"))
 
 
+COMPUTING = ("diagnose.py", "pendulum.py")
+"""Scripts that fit for a minute."""
 NOTEBOOKS = sorted(path.name for path in (ROOT / "examples" / "notebooks").glob("*.ipynb"))
 
 
@@ -46,7 +48,7 @@ def test_there_are_examples_and_the_readme_names_each():
 @pytest.mark.extended
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.long if name == "diagnose.py" else ()) for name in SCRIPTS]
+    "name", [pytest.param(name, marks=pytest.mark.long if name in COMPUTING else ()) for name in SCRIPTS]
 )
 def test_the_script_runs(name, folder):
     done = run(f"examples/{name}", folder=folder)

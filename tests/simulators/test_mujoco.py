@@ -186,7 +186,7 @@ def test_a_fit_finds_the_plant_with_its_dry_friction(tmp_path: Path) -> None:
     ("concealed", "missing"),
     [
         ({}, set()),
-        ({"dry": 0.06}, {"coulomb_friction"}),
+        pytest.param({"dry": 0.06}, {"coulomb_friction"}, marks=pytest.mark.long),
         pytest.param({"late": 5}, {"time_delay"}, marks=pytest.mark.long),
     ],
 )
