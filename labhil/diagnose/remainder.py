@@ -26,9 +26,9 @@ class Remainder:
     Attributes:
         explained: share of the squared error beyond the noise that is gone, of the worst output.
         noise_floors: RMSE that remains there, over the noise floor.
+        is_noise: whether nothing remains but noise.
         channel: that output.
         joint: its joint, of an arm.
-        is_noise: whether nothing remains but noise.
         regimes: stretches of a coordinate that hold most of what remains.
         statement: the same in one or two sentences.
     """
@@ -68,7 +68,8 @@ def find_remainder(
     floors = channel.rmse / channel.noise_floor
     is_noise = floors <= NOISE
     places = () if is_noise else _places(model, theta, HeldOut(held_out, before, after), worst)
-    statement = _statement(names, explained, floors, keyed(channel.channel, channel.joint), places)
+    remains = None if is_noise else floors
+    statement = _statement(names, explained, remains, keyed(channel.channel, channel.joint), places)
     return Remainder(explained, floors, is_noise, channel.channel, channel.joint, places, statement)
 
 
@@ -89,12 +90,12 @@ def _rounded(value: float) -> str:
 
 
 def _statement(
-    names: Sequence[str], explained: float, floors: float, channel: str, places: Sequence[Regime]
+    names: Sequence[str], explained: float, floors: float | None, channel: str, places: Sequence[Regime]
 ) -> str:
     verb = "explains" if len(names) == 1 else "explain"
     text = f"Together {' and '.join(names)}" if len(names) > 1 else names[0].replace("a force", "A force", 1)
     text = f"{text} {verb} {100.0 * explained:.0f} % of the error in {channel} beyond its noise"
-    if floors <= NOISE:
+    if floors is None:
         return f"{text}; what remains is noise."
     text += f"; {_rounded(floors)} noise floors remain"
     if not places:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from string import ascii_uppercase
@@ -46,9 +46,9 @@ class Overlay(Screen[None]):
         Binding("f12", "app.stop_all", "STOP ALL", id="overlay.stop", tooltip="Emergency stop"),
     ]
 
-    def __init__(self, heading: str, told: Mapping[str, Any]) -> None:
+    def __init__(self, heading: str, request: Mapping[str, Any]) -> None:
         super().__init__(id="overlay-screen")
-        self._heading, self._told = heading, told
+        self._heading, self._request = heading, request
         self._helper: Helper | None = None
         self._charts: list[Chart] = []
         self._reason = ""
@@ -65,7 +65,7 @@ class Overlay(Screen[None]):
 
     def on_mount(self) -> None:
         """Have the models simulated."""
-        self._helper = Helper("the simulation", MODULE, self._told, self._hear)
+        self._helper = Helper("the simulation", MODULE, self._request, self._hear)
 
     def _hear(self, line: dict[str, Any]) -> None:
         self.post_message(Simulated(line))
@@ -83,7 +83,7 @@ class Overlay(Screen[None]):
             self._reason = str(line["failed"])
             self._fail(self._reason)
         elif "ended" in line:
-            if line["ended"] or not self._charts:
+            if line["ended"] != 0 or not self._charts:
                 self._fail(self._reason or str(line["complaint"] or "the process that simulates has ended"))
         elif "channels" in line:
             await self.take(line)
@@ -149,7 +149,9 @@ class ModelsScreen(Overlay):
     async def take(self, line: dict[str, Any]) -> None:
         """Show all models."""
         self._heading = f"{len(line['models'])} models over {line['recording']}"
-        options = {letter: f"{letter}  {name}" for letter, name in _lettered(line["models"])}
+        options = {
+            letter: f"{letter}  {name}" for letter, name in zip(ascii_uppercase, line["models"], strict=False)
+        }
         await self.begin(options, len(line["channels"]))
         self._line = line
         self._draw()
@@ -243,11 +245,6 @@ def curves_of(whole: Channel, chosen: Channel) -> list[Curve]:
 def _measured(channel: Channel) -> Curve:
     measured = _numbers(channel["measured"])
     return Curve(np.array(channel["t"]), measured, "curve-measured", Pen.DOTS, "measured")
-
-
-def _lettered(names: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Names with a letter each, as in a comparison: those of files are too long for a legend."""
-    yield from zip(ascii_uppercase, names, strict=False)
 
 
 def _errors(whole: Channel, chosen: Channel) -> str:

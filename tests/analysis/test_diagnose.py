@@ -343,12 +343,6 @@ def test_where_too_little_was_searched_that_is_said(model, acquire):
     assert "too short" in found.undecided[0].reason
 
 
-EFFECTS = {
-    "dead_zone": {"dead_zone.left": 0.06, "dead_zone.right": 0.08},
-    "time_delay": {"time_delay.delay": 0.05},
-}
-
-
 @pytest.mark.extended
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("effect", ["dead_zone", pytest.param("time_delay", marks=pytest.mark.long)])

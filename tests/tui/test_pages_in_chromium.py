@@ -33,8 +33,8 @@ READ = f"[...{SVG}.querySelectorAll('.read')].filter((e) => e.getAttribute('visi
 PLACES = f"""(() => {{
   const matrix = {SVG}.getScreenCTM();
   const at = (x, y) => {{ const p = new DOMPoint(x, y).matrixTransform(matrix); return [p.x, p.y]; }};
-  const told = JSON.parse({SVG}.dataset.axes);
-  return told.map((t) => [at(t.left, t.top), at(t.left + t.width, t.top + t.height)]);
+  const plots = JSON.parse({SVG}.dataset.axes);
+  return plots.map((t) => [at(t.left, t.top), at(t.left + t.width, t.top + t.height)]);
 }})()"""
 
 

@@ -1,10 +1,10 @@
 """Models of results beside the measurement, in a process of its own.
 
-``python -m labhil.campaign.studies.overlay`` is told the path of a result in one line, ``{"result": PATH}``.
+``python -m labhil.campaign.studies.overlay`` reads the path of a result in one line, ``{"result": PATH}``.
 It answers with the terms of its model and the curves of all of them, then with the curves for each further
 line ``{"without": [TERM, …]}``; of lines that come faster than it can simulate it answers the newest.
 
-Told ``{"results": [PATH, …]}`` it answers with the curves of each one's model over the recording that the
+To ``{"results": [PATH, …]}`` it answers with the curves of each one's model over the recording that the
 first was judged on, and ends.
 """
 
@@ -109,14 +109,14 @@ def _judged_on(path: Path, result: Fit | Diagnosis) -> Path:
 
 def main() -> int:
     """Run the process; returns its exit status."""
-    told = told_first()
+    request = told_first()
     wanted: Queue[tuple[str, ...]] = Queue()
     on_further_lines(lambda line: wanted.put(tuple(map(str, line.get("without", ())))), lambda: os._exit(0))
     try:
-        if "results" in told:
-            say(simulated_models([Path(str(path)) for path in told["results"]]))
+        if "results" in request:
+            say(simulated_models([Path(str(path)) for path in request["results"]]))
             return 0
-        _answer_each(Path(str(told["result"])), wanted)
+        _answer_each(Path(str(request["result"])), wanted)
     except LabhilError as error:
         say({"failed": str(error)})
         return error.exit_status

@@ -33,7 +33,7 @@ LONGEST_LABEL = 72
 """Characters at an axis; a longer text leaves no room for the picture beside it."""
 
 PLACES = 65
-"""Along an axis that is not linear, at which its values are told."""
+"""Along an axis that is not linear, at which its values are given."""
 
 LONG_DECIMAL = re.compile(r"(\.\d\d)\d+")
 

@@ -33,8 +33,8 @@
   };
 
   class Axis {
-    constructor(told, start, length) {
-      Object.assign(this, told, { start, length, first: start, last: start + length });
+    constructor(scale, start, length) {
+      Object.assign(this, scale, { start, length, first: start, last: start + length });
     }
     get scale() { return this.length / (this.last - this.first); }
     shown(place) { return this.start + (place - this.first) * this.scale; }
@@ -65,11 +65,11 @@
   }
 
   class Plot {
-    constructor(svg, told) {
+    constructor(svg, frame) {
       this.svg = svg;
-      this.group = document.getElementById(told.id);
-      this.x = new Axis(told.x, told.left, told.width);
-      this.y = new Axis(told.y, told.top, told.height);
+      this.group = document.getElementById(frame.id);
+      this.x = new Axis(frame.x, frame.left, frame.width);
+      this.y = new Axis(frame.y, frame.top, frame.height);
       this.parts = [...this.group.querySelectorAll("[clip-path]")]
         .filter((part) => !part.closest('[id*="matplotlib.axis"]')).map((part) => this.framed(part));
       this.ticks = made("g", { class: "own-ticks" }, this.group);
@@ -103,7 +103,7 @@
       for (const [name, axis, k] of [["x", x, 1], ["y", y, 2]]) this.label(name, axis, k);
     }
     label(name, axis, number) {
-      const drawn = this.group.querySelector(`[id*="matplotlib.axis_${this.axis(number)}"]`);
+      const drawn = this.group.querySelectorAll('[id*="matplotlib.axis_"]')[number - 1];
       for (const tick of drawn ? drawn.querySelectorAll(`[id*="${name}tick_"]`) : []) {
         tick.style.display = axis.isWhole ? "" : "none";
       }
@@ -121,21 +121,16 @@
         made("text", at, this.ticks).textContent = text;
       }
     }
-    // matplotlib numbers the axes of a figure through: two of each plot
-    axis(number) {
-      const found = this.group.querySelectorAll('[id*="matplotlib.axis_"]');
-      return found.length >= number ? found[number - 1].id.match(/axis_(\d+)/)[1] : 0;
-    }
     point(x, y) {
       const [u, v] = [this.x.value(this.x.drawn(x)), this.y.value(this.y.drawn(y))];
-      const told = (value) => Number(value.toPrecision(4)).toString().replace("-", "−");
+      const rounded = (value) => Number(value.toPrecision(4)).toString().replace("-", "−");
       for (const [key, value] of Object.entries({ x1: x, x2: x, y1: this.y.start, y2: this.y.start + this.y.length })) {
         this.line.setAttribute(key, value);
       }
       const right = x > this.x.start + 0.5 * this.x.length, low = y > this.y.start + 20;
       const place = { x: x + (right ? -5 : 5), y: y + (low ? -6 : 14), "text-anchor": right ? "end" : "start" };
       for (const [key, value] of Object.entries(place)) this.read.setAttribute(key, value);
-      this.read.textContent = `x ${told(u)}, y ${told(v)}`;
+      this.read.textContent = `x ${rounded(u)}, y ${rounded(v)}`;
       this.line.setAttribute("visibility", "visible");
       this.read.setAttribute("visibility", "visible");
     }
@@ -153,7 +148,7 @@
   const tall = (from, to) => Math.abs(to.y - from.y) > LEAST_HEIGHT;
 
   const set_up = (svg) => {
-    const plots = JSON.parse(svg.dataset.axes).map((told) => new Plot(svg, told));
+    const plots = JSON.parse(svg.dataset.axes).map((frame) => new Plot(svg, frame));
     const at = (event) => new DOMPoint(event.clientX, event.clientY).matrixTransform(svg.getScreenCTM().inverse());
     const under = (place) => plots.find((plot) => plot.holds(place.x, place.y));
     const together = (plot, first, last) => {
