@@ -13,9 +13,9 @@ import asyncio
 import os
 import tempfile
 import time
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict
-from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -25,6 +25,8 @@ from measured import tell
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ("results", "compared")
+WALKS_TOGETHER = 10
+"""In one folder and one lab; what was walked is written after each ten."""
 
 
 def main() -> None:
@@ -38,22 +40,27 @@ def main() -> None:
     chosen = parser.parse_args()
     began = time.monotonic()
     seeds = range(chosen.first, chosen.first + chosen.walks)
-    shares = [list(seeds[start :: chosen.processes]) for start in range(chosen.processes)]
+    shares = [seeds[start : start + WALKS_TOGETHER] for start in range(0, len(seeds), WALKS_TOGETHER)]
+    walks: list[Walk] = []
     with ProcessPoolExecutor(chosen.processes, get_context("spawn")) as pool:
-        done = pool.map(partial(walk_all, length=chosen.length), shares)
-        walks = [one for share in done for one in share]
-    crashed = [asdict(one) for one in walks if one.crash]
-    told = {
+        for done in as_completed([pool.submit(walk_all, share, chosen.length) for share in shares]):
+            walks.extend(done.result())
+            tell(told(walks, time.monotonic() - began), chosen.out)
+
+
+def told(walks: Sequence[Walk], seconds: float) -> dict[str, object]:
+    """What so many walks came to."""
+    crashed = sorted((one for one in walks if one.crash), key=lambda one: one.seed)
+    return {
         "walks": len(walks),
         "keys": sum(len(one.keys) for one in walks),
         "crashes": len(crashed),
-        "crashed": crashed,
-        "seconds": round(time.monotonic() - began, 1),
+        "crashed": [asdict(one) for one in crashed],
+        "seconds": round(seconds, 1),
     }
-    tell(told, chosen.out)
 
 
-def walk_all(seeds: list[int], length: int) -> list[Walk]:
+def walk_all(seeds: Sequence[int], length: int) -> list[Walk]:
     """Make these walks in a folder and a lab of their own."""
     with tempfile.TemporaryDirectory() as place:
         # an emergency stop that is pressed here stops nothing elsewhere
