@@ -156,7 +156,7 @@ def score(
     elif windows is None:
         windows = scored_windows(record, horizon or scored_horizon(model, theta, record))
     nothing = np.empty(0, dtype=np.int64)
-    states = estimate_states_at(model, theta, record, windows.lead, sigma).states
+    states = estimate_states_at(model, theta, record, windows.lead, sigma, thorough=True).states
     whole = Problem(model, record, windows.whole, nothing, theta, sigma)
     residuals = whole.residuals(Point(np.empty(0), states))
     c = record.outputs.shape[1]

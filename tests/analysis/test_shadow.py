@@ -184,3 +184,10 @@ def test_a_run_beyond_the_band_on_one_side_leaves_it_and_single_peaks_do_not():
     back = state.after(t + 1.0, quiet, 2.0)
     assert (back.left_at, back.calm_since) == (state.left_at, pytest.approx(13.0))
     assert back.after(t + 2.01, quiet, 2.0).agrees
+
+
+def test_a_ball_that_hardly_moves_has_not_left_its_model() -> None:
+    """A stretch of the twin itself: near its slowest the lead-in has a second, wrong state, at rest."""
+    t, *values = np.loadtxt(Path(__file__).parent / "creeping_ball.csv", delimiter=",", skiprows=1).T
+    (stretch,) = feed(shadow_of(), t, np.column_stack(values))
+    assert np.abs(stretch.residuals).max() < 4.0
